@@ -14,10 +14,12 @@ use super::rows::{Row, RowFormat, collect};
 use super::{Point, PointFile};
 use crate::error::FileError;
 use crate::files::input::open_regular;
-use crate::files::write_whole;
+use crate::files::{sniff, write_whole};
 
 /// Maximum header length in bytes, as in NumPy.
 const MAX_HEADER_BYTES: usize = 10_000;
+/// Bytes before the text of a header: magic, version, and length.
+const FIXED_BYTES: usize = 10;
 /// Rows per block.
 const BLOCK_ROWS: usize = 1 << 16;
 
@@ -146,16 +148,19 @@ fn decode(mut reader: impl Read + Seek, file_bytes: u64, path: &Path) -> Result<
 /// the stack.
 fn read_header_bytes(reader: &mut impl Read, file_bytes: u64, path: &Path) -> Result<Vec<u8>, FileError> {
     let no_npy = |found: &str| FileError::content("an NPY file", found, path);
-    let mut fixed = [0; 10];
-    reader.read_exact(&mut fixed).map_err(|_| no_npy(&format!("{file_bytes} bytes")))?;
-    if &fixed[..6] != b"\x93NUMPY" {
-        return Err(no_npy("other content (no magic number)"));
+    let mut bytes = Vec::new();
+    reader.by_ref().take(FIXED_BYTES as u64).read_to_end(&mut bytes).map_err(FileError::io("read", path))?;
+    if !bytes.starts_with(b"\x93NUMPY") {
+        let rest = reader.by_ref().take(sniff::HEAD_BYTES as u64).read_to_end(&mut bytes);
+        rest.map_err(FileError::io("read", path))?;
+        return Err(no_npy(&sniff::described(&bytes).unwrap_or_else(|| "other content".to_owned())));
     }
-    let mut bytes = fixed.to_vec();
+    let cut = || no_npy(&format!("{file_bytes} bytes (cut off)"));
+    let fixed: [u8; FIXED_BYTES] = bytes.as_slice().try_into().map_err(|_| cut())?;
     let mut text_len = usize::from(u16::from_le_bytes([fixed[8], fixed[9]]));
     if fixed[6] > 1 {
         let mut high = [0; 2];
-        reader.read_exact(&mut high).map_err(|_| no_npy("the end of the file within the header"))?;
+        reader.read_exact(&mut high).map_err(|_| cut())?;
         bytes.extend(high);
         text_len |= usize::from(u16::from_le_bytes(high)) << 16;
     }
@@ -356,8 +361,11 @@ mod tests {
             (array("<f4", false, "(99999999999999999999999, 7)", &data), "a plain array"),
             (array("<f4", false, &"(".repeat(5000), &data), "a plain array"),
             (array("<f4", false, &"{".repeat(14), &data), "a plain array"),
-            (b"PK\x03\x04 and so on".to_vec(), "an NPY file, found other content"),
-            (Vec::new(), "an NPY file, found 0 bytes"),
+            (b"PK\x03\x04 and so on".to_vec(), "an NPY file, found a ZIP archive (unpack it)"),
+            (b"404: Not Found".to_vec(), "an NPY file, found text that begins with \"404: Not Found\""),
+            (vec![1, 2, 3], "an NPY file, found other content"),
+            (b"\x93NUMPY\x01".to_vec(), "an NPY file, found 7 bytes (cut off)"),
+            (Vec::new(), "an NPY file, found an empty file"),
             (b"\x93NUMPY\x02\x00\xff\xff\xff\xff{}".to_vec(), "header of at most 2 bytes, found 4294967295"),
         ] {
             let found = parse(&bytes).unwrap_err().to_string();

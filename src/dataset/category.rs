@@ -3,7 +3,12 @@
 //! nuScenes names categories by dotted groups (`vehicle.car`), other data sets by single words (`car`,
 //! `other_vehicle`, `Pedestrian`). [`CategoryKind::of`] is the only place that interprets either.
 
+mod words;
+
 use serde::{Deserialize, Serialize};
+
+pub(crate) use words::CategoryKind;
+use words::{ADJECTIVES, GROUPS, VAGUE, WORDS};
 
 /// Coarse class of a point or actor, as in the class map.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
@@ -33,185 +38,30 @@ impl Class {
     }
 }
 
-/// Kind of actor that a category stands for.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum CategoryKind {
-    Car,
-    Truck,
-    Bus,
-    Trailer,
-    /// Construction and other special vehicles.
-    Construction,
-    Emergency,
-    /// Any motor vehicle, in data sets with a single category for them.
-    AnyVehicle,
-    Pedestrian,
-    Bicycle,
-    Motorcycle,
-    Object,
-}
-
 use CategoryKind::{
     AnyVehicle, Bicycle, Bus, Car, Construction, Emergency, Motorcycle, Object, Pedestrian, Trailer, Truck,
 };
 
-/// Words in lower case without separators. Sources: the category lists of nuScenes, nuPlan, Lyft Level 5, TIER IV's T4,
-/// KITTI, Waymo Open, PandaSet, TruckScenes, ONCE, DAIR-V2X, ZOD and Cityscapes.
-const WORDS: [(CategoryKind, &[&str]); 11] = [
-    (Car, &["car", "van", "minivan", "suv", "sedan", "taxi", "pickup", "pickuptruck", "passengercar", "ego"]),
-    (
-        Truck,
-        &[
-            "truck",
-            "lorry",
-            "mediumsizedtruck",
-            "semitruck",
-            "heavytruck",
-            "lighttruck",
-            "boxtruck",
-            "truckcab",
-            "tractorunit",
-            "largevehicle",
-            "firetruck",
-        ],
-    ),
-    (
-        Bus,
-        &["bus", "minibus", "schoolbus", "coach", "tram", "tramsubway", "train", "trolley", "railedvehicle"],
-    ),
-    (Trailer, &["trailer", "semitrailer", "truckhead", "towedobject", "caravan", "vehiculartrailer"]),
-    (
-        Construction,
-        &[
-            "construction",
-            "constructionvehicle",
-            "othervehicle",
-            "othervehicleconstructionvehicle",
-            "othervehicleuncommon",
-            "excavator",
-            "forklift",
-            "tractor",
-            "heavyequipment",
-            "kart",
-        ],
-    ),
-    (
-        Emergency,
-        &[
-            "emergency",
-            "emergencyvehicle",
-            "ambulance",
-            "police",
-            "policecar",
-            "policevehicle",
-            "fire",
-            "fireengine",
-        ],
-    ),
-    (AnyVehicle, &["vehicle", "motorvehicle", "regularvehicle"]),
-    (
-        Pedestrian,
-        &[
-            "pedestrian",
-            "pedestrianwithobject",
-            "pedestriansitting",
-            "person",
-            "personsitting",
-            "people",
-            "human",
-            "adult",
-            "child",
-            "rider",
-            "stroller",
-            "wheelchair",
-            "personalmobility",
-            "personalmobilitydevice",
-            "policeofficer",
-            "constructionworker",
-            "officialsignaler",
-            "wheeledrider",
-        ],
-    ),
-    (
-        Bicycle,
-        &[
-            "bicycle",
-            "bike",
-            "cycle",
-            "cyclist",
-            "bicyclist",
-            "tricycle",
-            "tricyclist",
-            "othervehiclepedicab",
-            "twowheeler",
-        ],
-    ),
-    (
-        Motorcycle,
-        &[
-            "motorcycle",
-            "motorbike",
-            "motorcyclist",
-            "motorizedscooter",
-            "scooter",
-            "moped",
-            "vehicletwowheeler",
-        ],
-    ),
-    (
-        Object,
-        &[
-            "object",
-            "genericobject",
-            "movableobject",
-            "staticobject",
-            "animal",
-            "animals",
-            "animalsother",
-            "animalsbird",
-            "dog",
-            "barrier",
-            "roadbarriers",
-            "temporaryconstructionbarriers",
-            "cone",
-            "cones",
-            "trafficcone",
-            "trafficcones",
-            "pylons",
-            "czonesign",
-            "constructionsigns",
-            "pushablepullable",
-            "rollingcontainers",
-            "debris",
-            "bicyclerack",
-            "bollard",
-            "pole",
-            "sign",
-            "signs",
-            "stopsign",
-            "trafficsign",
-            "trafficlight",
-            "vegetation",
-            "misc",
-            "other",
-            "unknown",
-            "unclear",
-            "dontcare",
-        ],
-    ),
-];
-
 impl CategoryKind {
-    /// Returns what a category stands for; `None` for unknown words. Upper case, spaces, `_`, `-`, `/` and remarks in
-    /// parentheses are ignored.
+    /// Returns what a category stands for; `None` for unknown words. Upper case, spaces, `_`, `-`, `/`, `:`, plurals and remarks
+    /// in parentheses are ignored; between a group of nuScenes and the rest they stand for a dot.
     pub(crate) fn of(category: &str) -> Option<Self> {
+        Self::of_dotted(category).or_else(|| dotted(category).and_then(|category| Self::of_dotted(&category)))
+    }
+
+    fn of_dotted(category: &str) -> Option<Self> {
         let parts: Vec<String> = category.split('.').map(plain).collect();
         let (group, rest) = parts.split_first()?;
         if rest.is_empty() {
             return of_word(group);
         }
-        if ["movableobject", "staticobject", "animal", "object"].contains(&group.as_str()) {
-            return Some(Object);
+        match group.as_str() {
+            "animal" => return Some(Object),
+            "movableobject" | "staticobject" | "object" => {
+                let mut words = rest.iter().filter(|word| !ADJECTIVES.contains(&word.as_str()));
+                return Some(words.find_map(|word| of_word(word)).unwrap_or(Object));
+            }
+            _ => {}
         }
         let first = |kind: Self, word: &str| parts.iter().any(|part| part == word).then_some(kind);
         let person = first(Bicycle, "bicycle").or(first(Motorcycle, "motorcycle"));
@@ -238,9 +88,20 @@ impl CategoryKind {
     }
 }
 
-/// Returns the kind of a word that is not the name of an object.
+/// Returns the kind of a word below `vehicle`.
 fn of_vehicle(word: &str) -> Option<CategoryKind> {
-    of_word(word).filter(|kind| *kind != Object)
+    of_word(word).filter(|_| !VAGUE.contains(&word))
+}
+
+/// Returns a category with dots in place of other separators after a group of nuScenes; `None` if it has none. A rest that is
+/// known as a whole stays whole, like `bicycle_rack`.
+fn dotted(category: &str) -> Option<String> {
+    const SEPARATORS: [char; 5] = ['_', '/', ':', '-', ' '];
+    let category = category.trim().to_lowercase();
+    let (group, rest) = GROUPS.iter().find_map(|group| Some((group, category.strip_prefix(group)?)))?;
+    let rest = rest.strip_prefix(SEPARATORS)?.trim_start_matches(SEPARATORS);
+    let is_known = of_word(&plain(rest)).is_some();
+    Some(format!("{group}.{}", if is_known { rest.to_owned() } else { rest.replace(SEPARATORS, ".") }))
 }
 
 /// Returns a part of a category as in [`WORDS`].
@@ -248,11 +109,14 @@ fn plain(part: &str) -> String {
     let part = part.split('(').next().unwrap_or_default().to_lowercase();
     // Waymo's names in protocol buffers.
     let part = part.strip_prefix("type_").unwrap_or(&part);
-    part.chars().filter(|c| !matches!(c, ' ' | '_' | '-' | '/')).collect()
+    part.chars().filter(|c| !matches!(c, ' ' | '_' | '-' | '/' | ':')).collect()
 }
 
+/// Returns the kind of a word or its plural.
 fn of_word(word: &str) -> Option<CategoryKind> {
-    WORDS.iter().find(|(_, words)| words.contains(&word)).map(|(kind, _)| *kind)
+    let exact = |word: &str| WORDS.iter().find(|(_, words)| words.contains(&word)).map(|(kind, _)| *kind);
+    let singular = |ending: &str| word.strip_suffix(ending).and_then(exact);
+    exact(word).or_else(|| singular("s")).or_else(|| singular("es"))
 }
 
 /// Returns the color of a category's boxes in the layout image; `None` if they are not drawn. Source: condition
@@ -366,6 +230,35 @@ mod tests {
             for word in words {
                 assert_eq!(CategoryKind::of(word), Some(kind), "{word}");
             }
+        }
+        for (kind, words) in [
+            (
+                Car,
+                &["cars", "Cars", "vehicle_car", "vehicle/car", "vehicle:car", "vehicle-car", "vehicle car"]
+                    [..],
+            ),
+            (Car, &["object.car", "movable_object.car", "vehicle_pickup_truck"]),
+            (Truck, &["trucks", "vehicle.trucks"]),
+            (Bus, &["buses", "articulated_bus", "vehicle_bus_bendy", "vehicle:bus:rigid"]),
+            (Pedestrian, &["Pedestrians", "persons", "human/pedestrian/adult"]),
+            (Bicycle, &["bicycles", "vehicle_bicycle"]),
+            (AnyVehicle, &["vehicles", "vehicle.unknown", "vehicle_hovercraft"]),
+            (Construction, &["vehicle_other", "vehicle_construction"]),
+            (Object, &["construction_cone", "Construction Barrel", "wheeled_device", "cones", "animals"]),
+            (Object, &["vehicle.barrier", "vehicle.trafficcone", "vehicle_bicycle_rack", "animal_bird"]),
+            (Object, &["movable_object_trafficcone", "static_object/bicycle_rack", "object.construction"]),
+            (
+                Object,
+                &["movable_object.message_board_trailer", "movable_object.wheeled_device", "object.fire"],
+            ),
+        ] {
+            for word in words {
+                assert_eq!(CategoryKind::of(word), Some(kind), "{word}");
+            }
+        }
+        for word in ["s", "es", "object", "humanoid", "objective"] {
+            let known = (word == "object").then_some(Object);
+            assert_eq!(CategoryKind::of(word), known, "{word}");
         }
         for word in ["", "hovercraft", "carton", "busy", "a.b", "."] {
             assert_eq!(CategoryKind::of(word), None, "{word}");

@@ -2,6 +2,8 @@
 //!
 //! Boxes exist at frames only. With data of another clock, all actors would silently become background.
 
+#[cfg(any(feature = "nuscenes", feature = "nuplan"))]
+use std::collections::BTreeSet;
 use std::fmt;
 
 use crate::dataset::notes::{Notes, note};
@@ -9,39 +11,96 @@ use crate::dataset::notes::{Notes, note};
 /// Maximum difference between a time and the one that it belongs to, microseconds.
 pub(super) const TOLERANCE_US: u64 = 1_000_000;
 
+/// Difference up to which clocks are not noted, microseconds: a rotation of a LiDAR takes 100 ms.
+#[cfg(any(feature = "nuscenes", feature = "nuplan"))]
+const NOTED_US: u64 = 120_000;
+
 /// Plausible times from frame to frame, microseconds.
 const INTERVALS_US: std::ops::RangeInclusive<i64> = 2_000..=100_000_000;
+
+/// Units of time, each a thousandth of the one before.
+const UNITS: [&str; 4] = ["seconds", "milliseconds", "microseconds", "nanoseconds"];
+
+/// Unit of the times in the files of a format: an index in [`UNITS`]. All functions here take times in microseconds, to
+/// which the reader has converted them.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Unit(usize);
+
+impl Unit {
+    pub(super) const MICROS: Self = Self(2);
+    #[cfg(feature = "av2")]
+    pub(super) const NANOS: Self = Self(3);
+
+    /// Returns ` (UNIT instead of UNIT?)` if a file's time is one of the years 1980 to 2100 in another unit; otherwise nothing.
+    /// Clocks of GPS may begin in 1980.
+    pub(super) fn hint(self, t_us: f64) -> String {
+        const SECONDS: std::ops::RangeInclusive<f64> = 3.15e8..=4.2e9;
+        let in_file = t_us * thousands(self.0 as i32 - 2);
+        let unit = (0..UNITS.len()).find(|unit| SECONDS.contains(&(in_file / thousands(*unit as i32))));
+        let other = unit.filter(|unit| *unit != self.0);
+        other.map_or_else(String::new, |unit| format!(" ({})", self.instead(unit)))
+    }
+
+    /// Returns the unit of times that are a fraction of those in this unit, if it is another one.
+    fn of_fraction(self, ratio: f64) -> Option<String> {
+        let is = |unit: &usize| (ratio / thousands(self.0 as i32 - *unit as i32) - 1.0).abs() < 1e-3;
+        let other = (0..UNITS.len()).find(is).filter(|unit| *unit != self.0);
+        other.map(|unit| self.instead(unit))
+    }
+
+    fn instead(self, unit: usize) -> String {
+        format!("{} instead of {}?", UNITS[unit], UNITS[self.0])
+    }
+}
+
+/// Returns a power of a thousand.
+fn thousands(power: i32) -> f64 {
+    1000_f64.powi(power)
+}
 
 /// Time that is farther than [`TOLERANCE_US`] from the one that it belongs to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Offset {
     t_us: i64,
     expected_us: i64,
+    /// Range of the clock's offset, if the times are a part of the others.
+    range_us: [u64; 2],
+    unit: Unit,
 }
 
 impl Offset {
     /// Compares a time with the one that it belongs to, in microseconds; `None` within the tolerance.
+    #[cfg(any(feature = "nuscenes", test))]
     pub(super) fn of(t_us: i64, expected_us: i64) -> Option<Self> {
-        (t_us.abs_diff(expected_us) > TOLERANCE_US).then_some(Self { t_us, expected_us })
+        Self::beyond(t_us, expected_us, TOLERANCE_US)
     }
 
-    /// Compares a time with the first and last of a span; `None` within the span or the tolerance.
-    pub(super) fn from_span(t_us: i64, [first, last]: [i64; 2]) -> Option<Self> {
-        Self::of(t_us, t_us.clamp(first, last.max(first)))
+    /// Compares a time with the one that it belongs to, in microseconds; `None` within a tolerance.
+    #[cfg(any(feature = "nuscenes", feature = "nuplan", test))]
+    fn beyond(t_us: i64, expected_us: i64, tolerance_us: u64) -> Option<Self> {
+        let range_us = [t_us.abs_diff(expected_us); 2];
+        (range_us[0] > tolerance_us).then_some(Self { t_us, expected_us, range_us, unit: Unit::MICROS })
     }
 
-    /// Compares times in ascending order with a span. Returns the index of the time that is nearest to it, if none is
-    /// within the tolerance.
+    /// Compares ascending times with the first and last of a span. Returns the offset of the first time from the first of the
+    /// span, if no time is within the span or the tolerance.
     #[cfg(any(feature = "nuplan", feature = "av2"))]
-    pub(super) fn of_all(times_us: impl Iterator<Item = i64>, span: [i64; 2]) -> Option<(usize, Self)> {
-        let mut nearest: Option<(usize, Self)> = None;
-        for (i, t_us) in times_us.enumerate() {
-            let offset = Self::from_span(t_us, span)?;
-            if nearest.is_none_or(|(_, other)| offset.distance() < other.distance()) {
-                nearest = Some((i, offset));
+    pub(super) fn of_all(
+        times_us: impl Iterator<Item = i64>,
+        [first, last]: [i64; 2],
+        unit: Unit,
+    ) -> Option<Self> {
+        let mut ends = None;
+        for t_us in times_us {
+            if t_us.abs_diff(t_us.clamp(first, last.max(first))) <= TOLERANCE_US {
+                return None;
             }
+            ends.get_or_insert([t_us; 2])[1] = t_us;
         }
-        nearest
+        let [t_us, end_us] = ends?;
+        let mut range_us = [t_us.abs_diff(first), end_us.abs_diff(last)];
+        range_us.sort_unstable();
+        Some(Self { t_us, expected_us: first, range_us, unit })
     }
 
     fn distance(&self) -> u64 {
@@ -50,20 +109,22 @@ impl Offset {
 
     /// Names the probable cause, if there is one.
     fn cause(&self) -> Option<String> {
-        let ratio = self.expected_us as f64 / self.t_us as f64;
-        let unit = [(1e3, "milliseconds"), (1e6, "seconds"), (1e-3, "nanoseconds")];
-        if let Some((_, name)) = unit.iter().find(|(unit, _)| (ratio / unit - 1.0).abs() < 1e-3) {
-            return Some(format!("{name} instead of microseconds?"));
+        if let Some(unit) = self.unit.of_fraction(self.expected_us as f64 / self.t_us as f64) {
+            return Some(unit);
         }
         const HALF_HOUR_S: f64 = 1800.0;
-        let seconds = self.distance() as f64 * 1e-6;
-        let half_hours = (seconds / HALF_HOUR_S).round();
-        if (1.0..=28.0).contains(&half_hours) && (seconds - half_hours * HALF_HOUR_S).abs() < 5.0 {
+        let [least, most] = self.range_us.map(|t_us| t_us as f64 * 1e-6);
+        let half_hours = ((least - 5.0) / HALF_HOUR_S).ceil();
+        if (1.0..=28.0).contains(&half_hours)
+            && half_hours * HALF_HOUR_S <= most + 5.0
+            && most - least < HALF_HOUR_S / 2.0
+        {
             return Some(format!("{} h, another time zone?", half_hours / 2.0));
         }
         // UTC has 37 leap seconds, GPS time started with 19 of them.
-        let leaps = [18.0, 19.0, 37.0];
-        leaps.iter().any(|leap| (seconds - leap).abs() < 0.5).then(|| "GPS time instead of UTC?".to_owned())
+        let is_near = |leap: &f64| (least - 0.5..=most + 0.5).contains(leap) && most - least < 1.0;
+        let is_leap = [18.0, 19.0, 37.0].iter().any(is_near);
+        is_leap.then(|| "GPS time instead of UTC?".to_owned())
     }
 }
 
@@ -81,37 +142,77 @@ impl fmt::Display for Offset {
 #[derive(Debug, Default)]
 pub(super) struct PoseTimes {
     count: usize,
+    sensors: BTreeSet<String>,
     /// Token and offset of the first one.
     first: Option<(String, Offset)>,
 }
 
 #[cfg(any(feature = "nuscenes", feature = "nuplan"))]
 impl PoseTimes {
-    /// Compares the time of a pose with the time of its data, in microseconds.
-    pub(super) fn compare(&mut self, pose_us: i64, data_us: i64, token: impl FnOnce() -> String) {
-        if let Some(offset) = Offset::of(pose_us, data_us) {
+    /// Compares the time of a pose with the time of its data, in microseconds. `names` returns the sensor, and the token of the
+    /// pose.
+    pub(super) fn compare(&mut self, pose_us: i64, data_us: i64, names: impl FnOnce() -> [String; 2]) {
+        if let Some(offset) = Offset::beyond(pose_us, data_us, NOTED_US) {
+            let [sensor, token] = names();
             self.count += 1;
-            self.first.get_or_insert_with(|| (token(), offset));
+            self.sensors.insert(sensor);
+            self.first.get_or_insert((token, offset));
         }
     }
 
     /// Adds a note with the first of them.
     pub(super) fn note(self, notes: &mut Notes) {
         if let Some((token, offset)) = self.first {
-            let text =
-                format!("ego poses of another time than their data (used; ego_pose {token} is {offset})");
+            let sensors = self.sensors.into_iter().collect::<Vec<_>>().join(", ");
+            let text = format!(
+                "ego poses of another time than their data of {sensors} (used; ego_pose {token} is {offset})"
+            );
             note(notes, &text, self.count);
         }
     }
 }
 
-/// Adds a note if frames are too close or too far apart for times in microseconds.
-pub(super) fn note_interval(times_us: &[i64], notes: &mut Notes) {
+/// Times of key frames relative to their frames, by sensor. Only nuScenes links them; where they are found by time, they are
+/// near it.
+#[cfg(feature = "nuscenes")]
+#[derive(Debug, Default)]
+pub(super) struct KeyTimes(std::collections::BTreeMap<String, Vec<[i64; 2]>>);
+
+#[cfg(feature = "nuscenes")]
+impl KeyTimes {
+    /// Adds a key frame of a sensor and the time of its frame, microseconds.
+    pub(super) fn add(&mut self, sensor: &str, t_us: i64, frame_us: i64) {
+        match self.0.get_mut(sensor) {
+            Some(times) => times.push([t_us, frame_us]),
+            None => _ = self.0.insert(sensor.to_owned(), vec![[t_us, frame_us]]),
+        }
+    }
+
+    /// Adds a note for each sensor whose median difference is noteworthy.
+    pub(super) fn note(self, notes: &mut Notes) {
+        for (sensor, mut times) in self.0 {
+            let count = times.len();
+            let (_, [t_us, frame_us], _) =
+                times.select_nth_unstable_by_key(count / 2, |[t_us, frame_us]| t_us - frame_us);
+            if let Some(offset) = Offset::beyond(*t_us, *frame_us, NOTED_US) {
+                let text = format!(
+                    "key frames of {sensor} of another time than their boxes (used; median {offset})"
+                );
+                note(notes, &text, count);
+            }
+        }
+    }
+}
+
+/// Adds a note if frames are too close or too far apart for times in a unit.
+pub(super) fn note_interval(times_us: &[i64], unit: Unit, notes: &mut Notes) {
     let mut gaps: Vec<i64> = times_us.windows(2).map(|pair| pair[1].saturating_sub(pair[0])).collect();
     gaps.sort_unstable();
     let Some(median) = gaps.get(gaps.len() / 2).filter(|gap| !INTERVALS_US.contains(gap)) else { return };
-    let seconds = *median as f64 * 1e-6;
-    note(notes, &format!("frames {seconds} s apart (are their times microseconds?)"), times_us.len());
+    let seconds = *median as f64 / 1e6;
+    let hint = times_us.first().map_or_else(String::new, |first| unit.hint(*first as f64));
+    let hint = if hint.is_empty() { format!(" (are their times {}?)", UNITS[unit.0]) } else { hint };
+    note(notes, &format!("frames {seconds} s apart{hint}"), times_us.len());
 }
 
 #[cfg(test)]
@@ -125,11 +226,6 @@ mod tests {
         for t_us in [T_US, T_US + 20_000, T_US - 1_000_000, T_US + 1_000_000] {
             assert_eq!(Offset::of(t_us, T_US), None);
         }
-        let span = [T_US, T_US + 5_000_000];
-        for t_us in [T_US - 1_000_000, T_US + 2_500_000, T_US + 6_000_000] {
-            assert_eq!(Offset::from_span(t_us, span), None);
-        }
-        assert!(Offset::from_span(T_US + 6_000_001, span).is_some());
     }
 
     #[test]
@@ -154,18 +250,63 @@ mod tests {
     #[test]
     #[cfg(any(feature = "nuplan", feature = "av2"))]
     fn a_clock_is_wrong_if_no_time_is_near() {
-        let span = [T_US, T_US + 1_000_000];
-        assert_eq!(Offset::of_all([T_US - 9_000_000, T_US].into_iter(), span), None);
-        let late = [T_US + 9_000_000, T_US + 8_000_000];
-        assert_eq!(Offset::of_all(late.into_iter(), span).unwrap().0, 1);
-        assert_eq!(Offset::of_all([].into_iter(), span), None);
+        let span = [T_US, T_US + 5_000_000];
+        let of = |times: &[i64]| Offset::of_all(times.iter().copied(), span, Unit::MICROS);
+        for t_us in [T_US - 1_000_000, T_US + 2_500_000, T_US + 6_000_000] {
+            assert_eq!(of(&[T_US - 9_000_000, t_us]), None);
+        }
+        assert!(of(&[T_US + 6_000_001]).is_some());
+        assert_eq!(of(&[]), None);
+        // The first is compared with the first: the offset of the clocks, whatever the length of the log.
+        let text = |times: [i64; 2]| of(&times.map(|t_us| T_US + t_us)).unwrap().to_string();
+        assert_eq!(text([18_000_000, 23_000_000]), "18.000 s later (GPS time instead of UTC?)");
+        assert_eq!(text([18_000_000, 19_000_000]), "18.000 s later");
+        // Two of its files, from anywhere in the log.
+        assert_eq!(text([3_604_000_000, 3_604_100_000]), "3604.000 s later (1 h, another time zone?)");
+    }
+
+    #[test]
+    #[cfg(feature = "av2")]
+    fn units_are_those_of_the_format() {
+        let nanos = |t_us: i64| {
+            let span = [T_US, T_US + 5_000_000];
+            Offset::of_all([t_us].into_iter(), span, Unit::NANOS).unwrap().to_string()
+        };
+        for (t_us, unit) in [
+            (T_US / 1000, "microseconds"),
+            (T_US / 1_000_000, "milliseconds"),
+            (T_US / 1_000_000_000, "seconds"),
+        ] {
+            let cause = format!("({unit} instead of nanoseconds?)");
+            assert!(nanos(t_us).ends_with(&cause), "{}", nanos(t_us));
+            assert_eq!(Unit::NANOS.hint(t_us as f64), format!(" {cause}"));
+        }
+        assert_eq!(Unit::MICROS.hint(T_US as f64), "");
+        assert_eq!(Unit::MICROS.hint(T_US as f64 / 1e6), " (seconds instead of microseconds?)");
+        assert_eq!(Unit::MICROS.hint(T_US as f64 * 1e3), " (nanoseconds instead of microseconds?)");
+        assert_eq!((Unit::MICROS.hint(0.0), Unit::NANOS.hint(1.0)), (String::new(), String::new()));
+    }
+
+    #[test]
+    #[cfg(feature = "nuscenes")]
+    fn a_median_beyond_a_rotation_is_noted() {
+        let noted = |offsets: &[i64]| {
+            let (mut times, mut notes) = (KeyTimes::default(), Notes::new());
+            offsets.iter().for_each(|offset| times.add("LIDAR_TOP", T_US + offset, T_US));
+            times.note(&mut notes);
+            notes.counts.into_iter().collect::<Vec<_>>()
+        };
+        let note = "key frames of LIDAR_TOP of another time than their boxes (used; median 0.400 s earlier)";
+        assert_eq!(noted(&[-400_000; 3]), [(note.to_owned(), 3)]);
+        assert_eq!(noted(&[-100_000; 4]), []);
+        assert_eq!(noted(&[0, 900_000, 0]), []);
     }
 
     #[test]
     fn intervals_of_other_units_are_noted() {
         let count = |step: i64| {
             let mut notes = Notes::new();
-            note_interval(&(0..5).map(|i| i * step).collect::<Vec<_>>(), &mut notes);
+            note_interval(&(0..5).map(|i| i * step).collect::<Vec<_>>(), Unit::MICROS, &mut notes);
             notes.counts
         };
         assert!(count(50_000).is_empty() && count(500_000).is_empty());
@@ -174,6 +315,10 @@ mod tests {
             [("frames 0.0005 s apart (are their times microseconds?)".to_owned(), 5)]
         );
         assert_eq!(count(500_000_000).len(), 1);
-        note_interval(&[7], &mut Notes::new());
+        note_interval(&[7], Unit::MICROS, &mut Notes::new());
+        let mut notes = Notes::new();
+        note_interval(&[T_US / 1000, T_US / 1000 + 200], Unit::MICROS, &mut notes);
+        let text = "frames 0.0002 s apart (milliseconds instead of microseconds?)";
+        assert_eq!(notes.counts.into_iter().collect::<Vec<_>>(), [(text.to_owned(), 2)]);
     }
 }

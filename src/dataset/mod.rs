@@ -84,7 +84,7 @@ pub trait Dataset: Send + Sync {
     /// Fails if the file is missing, cannot be decoded, or has another size.
     fn read_image(&self, record: &ImageRecord) -> Result<image::RgbImage, DatasetError>;
 
-    /// Checks that an image exists and has the size in its record. Only the header is decoded.
+    /// Checks that an image exists, is not cut off, and has the size in its record. Only the header is decoded.
     ///
     /// # Errors
     /// Fails as [`Dataset::read_image`], except for errors in the pixel data.

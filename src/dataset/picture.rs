@@ -14,7 +14,7 @@ const IMAGE: &str = "a JPEG or PNG image";
 /// Reads a JPEG or PNG file of `height × width` pixels. The size in the header is compared before pixels are decoded.
 ///
 /// # Errors
-/// Fails if the file is missing, cannot be decoded, has another size, or is a truncated JPEG file.
+/// Fails if the file is missing, cannot be decoded, has another size, or is cut off.
 pub fn read_picture(path: &Path, height: u32, width: u32) -> Result<RgbImage, FileError> {
     let bytes = read_file(path, IMAGE_BYTES)?;
     let undecodable = |error| undecodable(error, &bytes, IMAGE, path);
@@ -34,11 +34,7 @@ pub fn read_picture(path: &Path, height: u32, width: u32) -> Result<RgbImage, Fi
         advice: "RAYON_NUM_THREADS=1 decodes one image at a time",
     })
     .map_err(|error| FileError::io("decode", path)(error.into()))?;
-    // The decoder silently fills the missing part of a truncated JPEG file with gray.
-    if is_jpeg(&bytes) && !has_jpeg_end(&bytes) {
-        let found = format!("{} bytes without an end marker (truncated)", bytes.len());
-        return Err(FileError::content("a whole JPEG image", found, path));
-    }
+    check_end(&bytes, path)?;
     DynamicImage::from_decoder(decoder).map(DynamicImage::into_rgb8).map_err(undecodable)
 }
 
@@ -56,9 +52,39 @@ pub fn undecodable(error: ImageError, bytes: &[u8], expected: &str, path: &Path)
         ImageError::Unsupported(_) => {
             sniff::described(bytes).unwrap_or_else(|| format!("another format ({} bytes)", bytes.len()))
         }
-        error => error.to_string(),
+        _ if !is_whole(bytes) => cut_off(bytes),
+        // Other libraries' texts hold names of their types, and end with a line break.
+        error => {
+            let text = error.to_string();
+            let reason = text.lines().next().map(str::trim).filter(|line| !line.contains(['{', '\\']));
+            let reason = reason.map_or_else(String::new, |line| format!(": {line}"));
+            format!("damaged data ({} bytes{reason})", bytes.len())
+        }
     };
     FileError::content(expected, found, path)
+}
+
+/// Checks that a file has its end: decoders silently fill the missing part of a JPEG file with gray.
+fn check_end(bytes: &[u8], path: &Path) -> Result<(), FileError> {
+    let kind = if is_jpeg(bytes) { "JPEG" } else { "PNG" };
+    match is_whole(bytes) {
+        true => Ok(()),
+        false => Err(FileError::content(format!("a whole {kind} image"), cut_off(bytes), path)),
+    }
+}
+
+/// Describes the file of an image without its end.
+fn cut_off(bytes: &[u8]) -> String {
+    format!("{} bytes without an end marker (cut off)", bytes.len())
+}
+
+/// Returns whether a JPEG or PNG file has its end; `true` for other files.
+fn is_whole(bytes: &[u8]) -> bool {
+    const PNG: &[u8] = b"\x89PNG\r\n\x1a\n";
+    if is_jpeg(bytes) {
+        return has_jpeg_end(bytes);
+    }
+    !bytes.starts_with(PNG) || bytes.windows(4).rev().any(|name| name == b"IEND")
 }
 
 fn is_jpeg(bytes: &[u8]) -> bool {
@@ -75,7 +101,7 @@ fn has_jpeg_end(bytes: &[u8]) -> bool {
 /// Returns the height and width from an image header; no pixels are decoded.
 ///
 /// # Errors
-/// Fails if the file is missing or has no JPEG or PNG header.
+/// Fails if the file is missing, has no JPEG or PNG header, or is cut off.
 pub fn picture_size(path: &Path) -> Result<(u32, u32), FileError> {
     // The JPEG decoder reads the whole file even for its header.
     let bytes = read_file(path, IMAGE_BYTES)?;
@@ -83,6 +109,7 @@ pub fn picture_size(path: &Path) -> Result<(u32, u32), FileError> {
     let reader = reader.with_guessed_format().map_err(FileError::io("read", path))?;
     let size = reader.into_dimensions();
     let (width, height) = size.map_err(|error| undecodable(error, &bytes, IMAGE, path))?;
+    check_end(&bytes, path)?;
     Ok((height, width))
 }
 
@@ -106,11 +133,35 @@ mod tests {
         assert!(read_picture(&jpeg, 48, 64).is_ok());
         for cut in (0..bytes.len()).step_by(41).chain(bytes.len() - 3..bytes.len()) {
             std::fs::write(&jpeg, &bytes[..cut]).unwrap();
-            assert!(read_picture(&jpeg, 48, 64).is_err(), "{cut} of {} bytes", bytes.len());
+            let errors = [read_picture(&jpeg, 48, 64).unwrap_err(), picture_size(&jpeg).unwrap_err()];
+            for error in errors.map(|error| error.to_string()) {
+                let found = if cut == 0 { "an empty file" } else { "(cut off)" };
+                assert!(error.contains(found), "{cut} of {} bytes: {error}", bytes.len());
+            }
         }
         image.save(&png).unwrap();
         let bytes = std::fs::read(&png).unwrap();
         std::fs::write(&png, &bytes[..bytes.len() - 40]).unwrap();
-        assert!(read_picture(&png, 48, 64).unwrap_err().to_string().ends_with("a.png"));
+        for error in [read_picture(&png, 48, 64).unwrap_err(), picture_size(&png).unwrap_err()] {
+            assert!(error.to_string().contains("(cut off): ") && error.to_string().ends_with("a.png"));
+        }
+    }
+
+    #[test]
+    fn messages_are_in_words() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.png");
+        let zeros = [b"\x89PNG\r\n\x1a\n".as_slice(), &[0; 400]].concat();
+        let ended = [zeros.as_slice(), b"IEND"].concat();
+        let header = b"\xff\xd8\xff\xd9".to_vec();
+        for (bytes, found) in [
+            (zeros, "found 408 bytes without an end marker (cut off)"),
+            (ended, "found damaged data (412 bytes"),
+            (header, "found damaged data (4 bytes"),
+        ] {
+            std::fs::write(&path, bytes).unwrap();
+            let error = picture_size(&path).unwrap_err().to_string();
+            assert!(error.contains(found) && !error.contains(['{', '\\']), "{error}");
+        }
     }
 }

@@ -18,7 +18,10 @@ use super::sniff;
 use crate::error::FileError;
 
 mod identity;
+mod shape;
 mod wording;
+
+pub(crate) use shape::object_instead_of_array;
 
 /// UTF-8 byte order mark.
 pub(crate) const BYTE_ORDER_MARK: &[u8] = b"\xef\xbb\xbf";
@@ -93,7 +96,7 @@ fn parse_repaired<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, String> {
         match error.classify() {
             // The document itself, whose fields are not those of a record.
             Category::Data if path.iter().len() == 0 && !error.to_string().contains(" field ") => {
-                wording::document(&error)
+                wording::document(&error, &text)
             }
             Category::Data => wording::data(&error, &place),
             Category::Syntax if matches!(&text, Cow::Owned(_)) => {
@@ -281,6 +284,18 @@ mod tests {
             b"[{\"token\": \"\xe9\"}]",
             "text that is not UTF-8 in [0].token near \"\u{fffd}\\\"}]\" (line 1, column 13)",
         );
-        refused("404: Not Found", "404 instead of an array");
+        refused("404: Not Found", "text that begins with \"404: Not Found\"");
+        refused("5", "5 instead of an array");
+        for (text, found) in [
+            (
+                "[{\"note\": \"a\tb\"}]",
+                "a control character in a string (write \\n, \\t or \\u00XX) in [0].note near",
+            ),
+            ("[{\"other\": 0x1F}]", "a hexadecimal number, which JSON lacks, in [0]"),
+            ("[{\"other\" 1}]", "something else than `:` in [0]"),
+        ] {
+            let message = rows(text).unwrap_err();
+            assert!(message.starts_with(found), "{message}");
+        }
     }
 }

@@ -5,7 +5,7 @@
 pub(crate) const HEAD_BYTES: usize = 512;
 
 /// Formats by their first bytes, and how to get what was expected.
-const MAGIC: [(&[u8], &str); 26] = [
+const MAGIC: [(&[u8], &str); 27] = [
     (b"\x1f\x8b", "gzip-compressed data (unpack it)"),
     (b"PK\x03\x04", "a ZIP archive (unpack it)"),
     (b"BZh", "bzip2-compressed data (unpack it)"),
@@ -30,6 +30,7 @@ const MAGIC: [(&[u8], &str); 26] = [
     (b"#ROSBAG", "a ROS bag"),
     (b"LASF", "a LAS file"),
     (b"# .PCD", "a PCD file"),
+    (b"\xef\xbb\xbf# .PCD", "a PCD file with a byte order mark (save it without one)"),
     (b"ply\n", "a PLY file"),
     (b"ply\r\n", "a PLY file"),
 ];
@@ -78,6 +79,7 @@ pub(crate) fn marked(head: &[u8]) -> Option<&'static str> {
         }
         _ if has(257, b"ustar") => Some("a tar archive (unpack it)"),
         [b'[' | b'{' | b'"' | b' ' | b'\n', 0, _, 0, ..] => Some("UTF-16 text (save it as UTF-8)"),
+        [0, b'[' | b'{' | b'"' | b' ' | b'\n', 0, _, ..] => Some("UTF-16 text (save it as UTF-8)"),
         _ if head.len() > 16 && head.iter().all(|byte| *byte == 0) => {
             Some("zero bytes (a download that was cut off?)")
         }
@@ -145,7 +147,9 @@ mod tests {
             (b"\x1f\x8b\x08\0", "gzip"),
             (b"\xff\xfe[\0{\0", "UTF-16"),
             (b"[\0{\0\"\0", "UTF-16"),
+            (b"\0[\0{\0\"", "UTF-16"),
             (b"\xff\xd8\xff\xe0\0", "a JPEG image"),
+            (b"\xef\xbb\xbf# .PCD v0.7\n", "a PCD file with a byte order mark"),
             (b"RIFF\0\0\0\0WEBPVP8 ", "WebP"),
             (&[0; 40], "zero bytes"),
         ] {

@@ -18,7 +18,7 @@ use super::rows::{RowFormat, collect};
 use super::{Point, PointFile};
 use crate::error::FileError;
 use crate::files::input::open_regular;
-use crate::files::write_whole;
+use crate::files::{sniff, write_whole};
 use columns::Columns;
 use payload::Payload;
 
@@ -54,14 +54,16 @@ pub fn read(path: &Path) -> Result<PointFile, FileError> {
     decode(BufReader::with_capacity(1 << 20, file), file_bytes, path)
 }
 
-fn decode(reader: impl BufRead + Seek, file_bytes: u64, path: &Path) -> Result<PointFile, FileError> {
+fn decode(mut reader: impl BufRead + Seek, file_bytes: u64, path: &Path) -> Result<PointFile, FileError> {
+    let head = reader.fill_buf().map_err(FileError::io("read", path))?;
+    if let Some(found) = other_content(head) {
+        return Err(FileError::content("a PLY file", found, path));
+    }
     // A header without line ends must not fill the memory.
     let mut limited = Reader::new(reader.take(file_bytes.min(MAX_HEADER_BYTES)));
-    let header = Parser::<DefaultElement>::new().read_header(&mut limited).map_err(|e| {
-        // Parser messages span several lines.
-        let found = e.to_string().split_whitespace().collect::<Vec<_>>().join(" ");
-        FileError::content("a PLY file", found, path)
-    })?;
+    let header = Parser::<DefaultElement>::new().read_header(&mut limited);
+    let header =
+        header.map_err(|error| FileError::content("a PLY file", in_words(&error.to_string()), path))?;
     let mut reader = limited.into_inner().into_inner();
     let start = reader.stream_position().map_err(FileError::io("read", path))?;
     let vertex = check_header(&header, file_bytes, path)?;
@@ -81,6 +83,37 @@ fn decode(reader: impl BufRead + Seek, file_bytes: u64, path: &Path) -> Result<P
     })?;
     cloud.notes.splice(0..0, columns.note);
     Ok(cloud)
+}
+
+/// Describes a file by its beginning, unless it begins like a PLY file.
+fn other_content(head: &[u8]) -> Option<String> {
+    match head {
+        [b'p', b'l', b'y', b'\r', next, ..] if *next != b'\n' => {
+            Some("lines that end in CR alone (write LF)".to_owned())
+        }
+        [b'p', b'l', b'y', end, ..] if end.is_ascii_whitespace() => None,
+        [0xef, 0xbb, 0xbf, b'p', b'l', b'y', ..] => {
+            Some("a byte order mark before the header (save it without one)".to_owned())
+        }
+        _ => Some(sniff::described(head).unwrap_or_else(|| "other content".to_owned())),
+    }
+}
+
+/// Returns a message of the header's parser in one sentence. It has a line number, a reason, then on lines of their own the
+/// line of the file and the parser's own data.
+fn in_words(message: &str) -> String {
+    let lines: Vec<&str> = message.lines().map(str::trim).collect();
+    let number = message.strip_prefix("Line ").and_then(|rest| rest.split(':').next());
+    let line = lines.iter().find_map(|line| line.strip_prefix("String: "));
+    match (line, number) {
+        (Some(line), Some(number)) => format!("{:?} in line {number}", line.trim_matches('\'')),
+        (Some(line), None) => format!("the line {:?}", line.trim_matches('\'')),
+        (None, _) if message.contains("end_header") => "a header without end_header (cut off?)".to_owned(),
+        (None, _) => {
+            let first = lines.first().copied().unwrap_or_default();
+            first.split_once(": ").map_or(first, |(_, reason)| reason).to_owned()
+        }
+    }
 }
 
 /// Validates the header. Returns the element `vertex`.
@@ -162,10 +195,18 @@ mod tests {
                 header("ascii", &format!("element vertex 1\n{xyz}property float red\n")) + "1 2 3 300\n",
                 "found 300",
             ),
-            ("hello".to_owned(), "a PLY file"),
+            ("hello".to_owned(), "a PLY file, found text that begins with \"hello\": "),
+            (String::new(), "found an empty file: "),
+            ("\u{feff}ply\nformat ascii 1.0\n".to_owned(), "found a byte order mark before the header"),
+            ("ply\rformat ascii 1.0\r".to_owned(), "found lines that end in CR alone"),
+            ("\0".repeat(500), "found zero bytes"),
+            ("\u{1}\u{2}\u{3}".to_owned(), "found other content: "),
+            (header("ascii", "element vertex 1\nproperty half x\n"), "found \"property half x\" in line 4: "),
+            ("ply\nformat ascii 1.0\nelement vertex 5\n".to_owned(), "found a header without end_header"),
         ] {
             let found = parse(text.as_bytes()).unwrap_err().to_string();
             assert!(found.contains(message) && found.ends_with("p.ply"), "{found}, expected {message}");
+            assert!(!found.contains('{') && !found.contains("Error"), "{found}");
         }
     }
 

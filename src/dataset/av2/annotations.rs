@@ -7,7 +7,8 @@ use glam::DVec3;
 
 use super::category;
 use super::feather::Table;
-use super::poses::{POSE, poses};
+use super::poses::{POSE, micros, poses};
+use crate::dataset::clock::Unit;
 use crate::dataset::{Class, DatasetError, Track};
 use crate::error::FileError;
 use crate::geometry::{Cuboid, CuboidError, Pose};
@@ -72,7 +73,8 @@ impl Annotations {
         let frames = frames(&table, |row| place.get(ids[row]).copied().unwrap_or_default())?;
         for (t_ns, boxes) in &frames {
             if let Some(pair) = boxes.windows(2).find(|pair| pair[0].track == pair[1].track) {
-                let found = format!("two of {} at {t_ns}", ids[pair[0].row]);
+                let hint = Unit::NANOS.hint(micros(*t_ns) as f64);
+                let found = format!("two of {} at {t_ns}{hint}", ids[pair[0].row]);
                 return Err(FileError::content("one box per track and time", found, path).into());
             }
         }

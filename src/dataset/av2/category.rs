@@ -3,14 +3,15 @@
 use crate::dataset::CategoryKind;
 
 /// Returns the dotted name of a category: group, kind, and the dataset's own name in lower case, like
-/// `vehicle.car.regular_vehicle`. Words of other data sets stay as they are. `None` for unknown words.
+/// `vehicle.car.regular_vehicle`, in any case. Words of other data sets stay as they are. `None` for unknown words.
 ///
 /// Riders are pedestrians, since they have boxes separate from their cycles. Trams are buses, the nearest in shape.
 /// Message boards and traffic lights on trailers are signs rather than vehicles. Boxes of wheeled devices exclude
 /// their rider, so they are objects. Source of the list: `AnnotationCategories` of
 /// <https://github.com/argoverse/av2-api>.
 pub(super) fn dotted(category: &str) -> Option<String> {
-    let group = match category {
+    let upper = category.trim().to_uppercase().replace([' ', '-'], "_");
+    let group = match upper.as_str() {
         "REGULAR_VEHICLE" => "vehicle.car",
         "LARGE_VEHICLE" | "BOX_TRUCK" | "TRUCK" | "TRUCK_CAB" => "vehicle.truck",
         "BUS" | "SCHOOL_BUS" | "ARTICULATED_BUS" | "RAILED_VEHICLE" => "vehicle.bus",
@@ -27,9 +28,9 @@ pub(super) fn dotted(category: &str) -> Option<String> {
         | "MOBILE_PEDESTRIAN_CROSSING_SIGN"
         | "WHEELED_DEVICE" => "movable_object",
         "BOLLARD" | "SIGN" | "STOP_SIGN" => "static_object",
-        other => return CategoryKind::of(other).map(|_| other.to_owned()),
+        _ => return CategoryKind::of(category).map(|_| category.to_owned()),
     };
-    Some(format!("{group}.{}", category.to_lowercase()))
+    Some(format!("{group}.{}", upper.to_lowercase()))
 }
 
 /// Returns the dotted name of a category with an unknown name.
@@ -68,6 +69,8 @@ mod tests {
         assert_eq!((of("PEDESTRIAN"), of("BICYCLIST"), of("STROLLER")), (person, person, person));
         assert_eq!((of("BOLLARD"), of("CONSTRUCTION_CONE"), of("DOG")), (object, object, object));
         assert_eq!(of("MOBILE_PEDESTRIAN_CROSSING_SIGN"), object);
+        assert_eq!(dotted("construction_cone"), dotted("CONSTRUCTION_CONE"));
+        assert_eq!((of("bicyclist"), of("Regular Vehicle")), (person, of("REGULAR_VEHICLE")));
         assert_eq!(dotted("Car").as_deref(), Some("Car"));
         assert_eq!((dotted("SPACESHIP"), unknown("SPACESHIP").as_str()), (None, "object.spaceship"));
         assert_eq!(Class::from_category(&unknown("SPACESHIP")), Class::Object);

@@ -4,6 +4,7 @@ use std::path::Path;
 
 use super::feather::Table;
 use crate::dataset::DatasetError;
+use crate::dataset::clock::Unit;
 use crate::error::FileError;
 use crate::geometry::Pose;
 
@@ -29,7 +30,8 @@ impl Trajectory {
             return Err(FileError::content("at least one ego pose", "none", path).into());
         }
         if let Some(i) = times_ns.windows(2).position(|w| w[0] >= w[1]) {
-            let found = format!("{} after {} in row {}", times_ns[i + 1], times_ns[i], i + 1);
+            let hint = Unit::NANOS.hint(micros(times_ns[i]) as f64);
+            let found = format!("{} after {} in row {}{hint}", times_ns[i + 1], times_ns[i], i + 1);
             return Err(FileError::content("timestamps that grow from row to row", found, path).into());
         }
         let poses = poses(&table, |row| format!("row {row}"))?;

@@ -5,7 +5,7 @@ use std::path::Path;
 use super::annotations::Annotations;
 use super::poses::{Trajectory, micros};
 use super::{calibration, sensors};
-use crate::dataset::clock::{Offset, note_interval};
+use crate::dataset::clock::{Offset, Unit, note_interval};
 use crate::dataset::notes::{FLAT_BOX, Notes, UNKNOWN_POINTS, note, note_unknown_category, settle};
 use crate::dataset::{BoxPoints, DatasetError, Frame, Gap, ReadOptions, Recording, TrackBox};
 use crate::error::FileError;
@@ -48,7 +48,8 @@ pub(super) fn read(
         };
         let t_us = micros(t_ns);
         if frames.last().is_some_and(|last: &Frame| last.t_us == t_us) {
-            let found = format!("{t_ns} in the microsecond of the one before");
+            let hint = Unit::NANOS.hint(t_us as f64);
+            let found = format!("{t_ns} in the microsecond of the one before{hint}");
             return Err(FileError::content("annotated times a microsecond apart", found, &path).into());
         }
         let (mut boxes_here, mut points) = (Vec::new(), Vec::new());
@@ -80,12 +81,13 @@ pub(super) fn read(
     if frames.is_empty() {
         let rows = annotations.frames.values().map(Vec::len).sum::<usize>();
         let times = annotations.frames.keys().map(|t_ns| micros(*t_ns));
-        let offset =
-            Offset::of_all(times, ego.span_us()).map(|(_, offset)| format!(", the nearest {offset}"));
-        let found = format!("none in {rows} rows{}", offset.unwrap_or_default());
+        let offset = Offset::of_all(times, ego.span_us(), Unit::NANOS);
+        let offset = offset.map_or_else(String::new, |offset| format!(", the first {offset}"));
+        let found = format!("none in {rows} rows{offset}");
         return Err(FileError::content("boxes at a time with an ego pose", found, &path).into());
     }
-    note_interval(&frames.iter().map(|frame: &Frame| frame.t_us).collect::<Vec<_>>(), &mut notes);
+    let times_us: Vec<i64> = frames.iter().map(|frame: &Frame| frame.t_us).collect();
+    note_interval(&times_us, Unit::NANOS, &mut notes);
     sensors::add_sweeps(&lidar, &times_ns, &ego, &mut frames, &mut notes)?;
     for camera in &rig {
         let folder = sensors.join("cameras");

@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use super::poses::{Trajectory, micros};
-use crate::dataset::clock::Offset;
+use crate::dataset::clock::{Offset, Unit};
 use crate::dataset::notes::{NO_IMAGE, NO_SWEEP, Notes, note};
 use crate::dataset::{Frame, Gap, ImageRecord, RigCamera, SweepRecord};
 use crate::error::FileError;
@@ -127,9 +127,10 @@ pub(super) fn add_images(
 fn check_clock(files: &[Timed], kind: &str, times_ns: &[i64]) -> Result<(), FileError> {
     let Some((first, last)) = times_ns.first().zip(times_ns.last()) else { return Ok(()) };
     let times = files.iter().map(|file| micros(file.t_ns));
-    let Some((i, offset)) = Offset::of_all(times, [micros(*first), micros(*last)]) else { return Ok(()) };
+    let offset = Offset::of_all(times, [micros(*first), micros(*last)], Unit::NANOS);
+    let Some((offset, file)) = offset.zip(files.first()) else { return Ok(()) };
     let expected = format!("{kind} within a second of the annotated times");
-    Err(FileError::content(expected, format!("the nearest one {offset}"), &files[i].path))
+    Err(FileError::content(expected, format!("the first one {offset}"), &file.path))
 }
 
 /// Returns the index of the nearest of ascending times within [`IMAGE_TOLERANCE_NS`]. Ties go to the earlier one.

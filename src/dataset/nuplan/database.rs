@@ -13,6 +13,7 @@ use rusqlite::types::ValueRef;
 use rusqlite::{Connection, OpenFlags};
 
 use crate::dataset::DatasetError;
+use crate::dataset::clock::Unit;
 use crate::dataset::limits::MAX_TIME_US;
 use crate::error::FileError;
 use crate::files::input::open_regular;
@@ -71,6 +72,10 @@ impl Database {
         let bytes = file.read_at(&mut head, 0).map_err(FileError::io("read", path))?;
         if let Some(found) = sniff::described(&head[..bytes]).filter(|_| !head.starts_with(MAGIC)) {
             return Err(FileError::content("a SQLite database", found, path));
+        }
+        if let Some(whole) = declared_bytes(&head[..bytes]).filter(|whole| *whole > length) {
+            let found = format!("{length} of at least {whole} bytes (cut off)");
+            return Err(FileError::content("a whole SQLite database", found, path));
         }
         let mut uri = String::from("file:");
         for byte in path.as_os_str().as_bytes() {
@@ -160,6 +165,25 @@ impl Database {
     }
 }
 
+/// Returns the size of a database that its header declares; `None` if it declares none that is valid.
+fn declared_bytes(head: &[u8]) -> Option<u64> {
+    const HEADER_BYTES: u64 = 100;
+    if !head.starts_with(MAGIC) {
+        return None;
+    }
+    let word = |at: usize| head.get(at..)?.first_chunk::<4>().copied().map(u32::from_be_bytes);
+    let (Some(version), Some(&[high, low])) = (word(92), head.get(16..).and_then(<[u8]>::first_chunk)) else {
+        return Some(HEADER_BYTES);
+    };
+    let page = match u16::from_be_bytes([high, low]) {
+        1 => 1 << 16,
+        page => u64::from(page),
+    };
+    // Old versions write no number of pages.
+    let pages = word(28).filter(|_| word(24) == Some(version))?;
+    Some(page * u64::from(pages))
+}
+
 /// Aborts statements once all of them together exceed the instruction limit. No valid file of this length reaches it.
 fn limit_steps(connection: &mut Connection, length: u64) -> rusqlite::Result<()> {
     let most = STEPS + length.saturating_mul(STEPS_PER_BYTE);
@@ -226,7 +250,7 @@ impl<'a> Row<'a> {
             return Err(self.wrong(
                 column,
                 "microseconds within a thousand years of 1970",
-                &t_us.to_string(),
+                &format!("{t_us}{}", Unit::MICROS.hint(t_us as f64)),
             ));
         }
         Ok(t_us)

@@ -2,10 +2,11 @@
 
 use rustc_hash::FxHashMap;
 
+use super::clocks::note_pose_times;
 use super::database::{Database, Query, Row, hex};
 use super::pickle;
 use super::place::LogPaths;
-use crate::dataset::clock::PoseTimes;
+use crate::dataset::clock::Unit;
 use crate::dataset::notes::Notes;
 use crate::dataset::{DatasetError, SweepRecord};
 use crate::error::FileError;
@@ -93,25 +94,6 @@ fn shot(
     Ok(FrameRecord { token, scene, t_us, global_from_ego, sweep })
 }
 
-/// Counts the poses that are not from the time of their sweep. The tables link them, so they are used nevertheless.
-fn note_pose_times(database: &Database, notes: &mut Notes) -> Result<(), DatasetError> {
-    if !database.has_column("ego_pose", "timestamp")? {
-        return Ok(());
-    }
-    let columns = &["lidar_pc.token", "lidar_pc.timestamp", "ego_pose.timestamp", "ego_pose.token"];
-    let from = "FROM lidar_pc JOIN ego_pose ON ego_pose.token = lidar_pc.ego_pose_token \
-        ORDER BY lidar_pc.timestamp, lidar_pc.token";
-    let mut others = PoseTimes::default();
-    database.rows(&Query { table: "lidar_pc", columns, from }, |row| {
-        if let (Ok(sweep_us), Ok(pose_us)) = (row.time_us(1), row.integer(2)) {
-            others.compare(pose_us, sweep_us, || row.blob(3).map(hex).unwrap_or_default());
-        }
-        Ok(())
-    })?;
-    others.note(notes);
-    Ok(())
-}
-
 /// Returns the pose of a joined row of `ego_pose`. Column `by` is the referencing token; `ego_pose.token` and
 /// [`POSE_COLUMNS`] follow.
 pub(super) fn ego_pose(row: &Row<'_>, by: usize, database: &Database) -> Result<Pose, DatasetError> {
@@ -146,8 +128,9 @@ fn check_times(
     }
     for pair in shots.windows(2) {
         if pair[0].t_us == pair[1].t_us {
-            let found =
-                format!("{} in lidar_pc {} and {}", pair[0].t_us, hex(&pair[0].token), hex(&pair[1].token));
+            let (t_us, tokens) = (pair[0].t_us, [&pair[0].token, &pair[1].token].map(|token| hex(token)));
+            let hint = Unit::MICROS.hint(t_us as f64);
+            let found = format!("{t_us} in lidar_pc {} and {}{hint}", tokens[0], tokens[1]);
             return content("timestamps that grow from frame to frame", found);
         }
     }

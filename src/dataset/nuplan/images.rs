@@ -4,11 +4,12 @@
 
 use rustc_hash::FxHashMap;
 
+use super::clocks::check_sweeps;
 use super::database::{Database, Query, Row, hex};
 use super::frames::{POSE_COLUMNS, ego_pose, extrinsics, unpickled};
 use super::pickle;
 use super::place::LogPaths;
-use crate::dataset::clock::Offset;
+use crate::dataset::clock::{Offset, Unit};
 use crate::dataset::limits::MAX_CAMERAS;
 use crate::dataset::notes::{NO_IMAGE, Notes, note};
 use crate::dataset::{DatasetError, Gap, ImageDistortion, ImageRecord, RigCamera};
@@ -195,7 +196,8 @@ fn images(
         let (t_us, token) = (row.time_us(1)?, row.blob(2)?);
         let channel = *channels.get(token).ok_or_else(|| row.dangling("camera", token))?;
         if images[channel].last().is_some_and(|last| last.record.t_us == t_us) {
-            let found = format!("{t_us} twice, {}", cameras[channel].camera.name);
+            let hint = Unit::MICROS.hint(t_us as f64);
+            let found = format!("{t_us} twice, {}{hint}", cameras[channel].camera.name);
             return Err(row.wrong(1, "timestamps that grow from image to image", &found));
         }
         clocks[channel].add(t_us, row.blob(0)?);
@@ -237,8 +239,9 @@ impl ImageClock {
         if times[0] <= span_us[1] && times[1] >= span_us[0] {
             return Ok(());
         }
-        let Some((i, offset)) = Offset::of_all(times.into_iter(), span_us) else { return Ok(()) };
-        let token = hex(&[first, last][i].1);
+        let Some(offset) = Offset::of_all(times.into_iter(), span_us, Unit::MICROS) else { return Ok(()) };
+        check_sweeps(database, span_us, times)?;
+        let token = hex(&first.1);
         let expected = format!("images of {name} within a second of the log's lidar_pc");
         Err(FileError::content(expected, format!("image {token} {offset}"), database.path()).into())
     }

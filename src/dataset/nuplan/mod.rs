@@ -7,6 +7,7 @@
 //! numbers. Format: <https://nuplan-devkit.readthedocs.io>.
 
 mod annotations;
+mod clocks;
 mod database;
 mod frames;
 mod geometry;

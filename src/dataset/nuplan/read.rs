@@ -3,7 +3,7 @@
 use super::database::{Database, Query, hex};
 use super::place::LogPaths;
 use super::{annotations, frames, images, routes, situation};
-use crate::dataset::clock::note_interval;
+use crate::dataset::clock::{Unit, note_interval};
 use crate::dataset::notes::{Notes, settle};
 use crate::dataset::{DatasetError, Frame, MapFiles, ReadOptions, Recording};
 use crate::error::FileError;
@@ -21,7 +21,7 @@ pub(super) fn read(
     let wanted = scene.as_ref().map(|s| s.token.as_slice());
     let (shots, span_us) = frames::read(&database, place, wanted, &mut notes)?;
     let times_us: Vec<i64> = shots.iter().map(|shot| shot.t_us).collect();
-    note_interval(&times_us, &mut notes);
+    note_interval(&times_us, Unit::MICROS, &mut notes);
     let within = images::Within { times_us: &times_us, span_us, is_whole: scene.is_none() };
     let pictures = images::read(&database, place, &within, reading.distortion, &mut notes)?;
     let annotated = annotations::read(&database, &shots, &mut notes)?;

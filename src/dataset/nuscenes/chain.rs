@@ -4,6 +4,7 @@ use rustc_hash::{FxHashMap, FxHashSet};
 
 use super::tables::{Sample, Scene, Table};
 use crate::dataset::DatasetError;
+use crate::dataset::clock::Unit;
 use crate::dataset::notes::{Notes, note};
 use crate::error::FileError;
 
@@ -46,7 +47,8 @@ impl Chain {
             }
             let t_us = sample.timestamp.0;
             if let Some(last) = chain.times_us.last().filter(|last| **last >= t_us) {
-                let found = format!("{t_us} in sample {token} after {last}");
+                let found =
+                    format!("{t_us} in sample {token} after {last}{}", Unit::MICROS.hint(t_us as f64));
                 return Err(content("timestamps that grow along the chain of samples", found).into());
             }
             chain.place.insert(token.clone(), chain.times_us.len());

@@ -81,6 +81,9 @@ pub(super) fn choose_scene<'a>(
     scenes: &'a Table<Scene>,
     wanted: Option<&str>,
 ) -> Result<&'a Scene, DatasetError> {
+    if scenes.records.is_empty() {
+        return Err(FileError::content("at least one scene", "none", &scenes.path).into());
+    }
     let fits = |scene: &&Scene| wanted.is_none_or(|w| scene.name == w || scene.token == w);
     let mut fitting = scenes.records.iter().filter(fits);
     if let (Some(scene), None) = (fitting.next(), fitting.next()) {

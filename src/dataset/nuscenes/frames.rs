@@ -12,7 +12,7 @@ use super::lens::lens;
 use super::sensors::{IGNORED_LENSES, Sensors};
 use super::tables::{CalibratedSensor, SampleData, Scene, Sensor, Table};
 use super::version::Version;
-use crate::dataset::clock::PoseTimes;
+use crate::dataset::clock::{KeyTimes, PoseTimes, Unit};
 use crate::dataset::limits::MAX_CAMERAS;
 use crate::dataset::notes::{NO_IMAGE, NO_SWEEP, Notes, note};
 use crate::dataset::{DatasetError, Gap, ImageDistortion, ImageRecord, SweepRecord};
@@ -88,9 +88,10 @@ pub(super) fn read(
     let sensors = Sensors { data, poses, calibrated, sensors, distortion };
     let cameras = sensors.cameras()?;
     let mut piles: Vec<UnsortedFrame> = chain.times_us.iter().map(|_| UnsortedFrame::default()).collect();
-    let (mut pose_times, mut ignored_lenses) = (PoseTimes::default(), FxHashSet::default());
+    let (mut key_times, mut pose_times) = (KeyTimes::default(), PoseTimes::default());
+    let mut ignored_lenses = FxHashSet::default();
     for data in &sensors.data.records {
-        sensors.check_clock(data, chain)?;
+        sensors.check_clock(data, chain, &mut key_times)?;
         sensors.compare_pose(data, &mut pose_times);
         if sensors.ignores_lens(data)? {
             ignored_lenses.insert(data.calibrated_sensor_token.as_str());
@@ -108,6 +109,7 @@ pub(super) fn read(
             None => note(notes, "sweeps and images after the last sample", 1),
         }
     }
+    key_times.note(notes);
     pose_times.note(notes);
     note(notes, IGNORED_LENSES, ignored_lenses.len());
     let path = &sensors.data.path;
@@ -299,7 +301,8 @@ fn check_growth(frames: &[UnsortedFrame], path: &Path) -> Result<(), FileError> 
             let before = last.insert(channel.clone(), (t_us, file));
             if let Some((before_us, _)) = before.filter(|(t, known)| *t >= t_us && *known != file) {
                 let expected = "times of key frames that grow from sample to sample";
-                let found = format!("{t_us} in sample_data {token} of {channel} after {before_us}");
+                let hint = Unit::MICROS.hint(t_us as f64);
+                let found = format!("{t_us} in sample_data {token} of {channel} after {before_us}{hint}");
                 return Err(FileError::content(expected, found, path));
             }
         }

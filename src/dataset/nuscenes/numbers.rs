@@ -4,6 +4,7 @@ use std::fmt;
 
 use serde::de::{Deserialize, Deserializer, Error, IgnoredAny, MapAccess, SeqAccess, Visitor};
 
+use crate::dataset::clock::Unit;
 use crate::dataset::limits::MAX_TIME_US;
 
 /// Absolute microseconds, at most [`MAX_TIME_US`] from 1970. Fractions are rounded.
@@ -22,13 +23,13 @@ impl<'de> Deserialize<'de> for TimeUs {
 
             fn visit_i64<E: Error>(self, t_us: i64) -> Result<TimeUs, E> {
                 if t_us.unsigned_abs() > MAX_TIME_US.unsigned_abs() {
-                    return Err(far(t_us));
+                    return Err(far(t_us as f64));
                 }
                 Ok(TimeUs(t_us))
             }
 
             fn visit_u64<E: Error>(self, t_us: u64) -> Result<TimeUs, E> {
-                i64::try_from(t_us).map_err(|_| far(t_us)).and_then(|t_us| self.visit_i64(t_us))
+                i64::try_from(t_us).map_err(|_| far(t_us as f64)).and_then(|t_us| self.visit_i64(t_us))
             }
 
             fn visit_f64<E: Error>(self, t_us: f64) -> Result<TimeUs, E> {
@@ -43,8 +44,9 @@ impl<'de> Deserialize<'de> for TimeUs {
     }
 }
 
-fn far<E: Error>(t_us: impl fmt::Display) -> E {
-    E::custom(format!("a time of {t_us} us, a thousand years from 1970 or more"))
+fn far<E: Error>(t_us: f64) -> E {
+    let hint = Unit::MICROS.hint(t_us);
+    E::custom(format!("a time of {t_us} us, a thousand years from 1970 or more{hint}"))
 }
 
 /// Count or size that may be unknown: a number from 0 to 2³² − 1, as an integer or a float, or anything else.

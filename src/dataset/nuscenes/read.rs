@@ -4,7 +4,7 @@ use super::chain::Chain;
 use super::tables::{Attribute, LogRecord, MapRecord, Table, Visibility};
 use super::version::Version;
 use super::{annotations, choose, frames};
-use crate::dataset::clock::note_interval;
+use crate::dataset::clock::{Unit, note_interval};
 use crate::dataset::notes::{Notes, settle};
 use crate::dataset::{BoxPoints, DatasetError, Frame, ReadOptions, Recording, RigCamera};
 use crate::files::input::DataRoot;
@@ -28,7 +28,7 @@ pub(super) fn read(
     let mut notes = Notes::new();
     let chain = Chain::of(&version.samples, scene, &mut notes)?;
     let shots = frames::read(root, version, scene, &chain, reading.distortion, &mut notes)?;
-    note_interval(&chain.times_us, &mut notes);
+    note_interval(&chain.times_us, Unit::MICROS, &mut notes);
     let annotated = annotations::read(version, scene, &chain, &mut notes)?;
     let (mut log_frames, mut box_points) = (Vec::new(), Vec::new());
     for ((t_us, shot), (boxes, points)) in chain.times_us.iter().zip(shots.frames).zip(annotated.frames) {

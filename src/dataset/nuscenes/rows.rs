@@ -123,12 +123,11 @@ fn unexpected(buffer: &[u8], next: usize, base: u64, state: State) -> String {
     let rest = &buffer[next..buffer.len().min(next + sniff::HEAD_BYTES)];
     let at = base + next as u64;
     match (state, rest[0]) {
-        (State::Start, b'{') => {
-            format!("an object at byte {at} instead of an array (JSON lines? write one array)")
-        }
+        (State::Start, b'{') => json::object_instead_of_array(&buffer[next..]),
         (State::Before(true), b']') => format!("a comma before the closing bracket at byte {at}"),
-        (State::Start, _) if at == 0 && sniff::marked(rest).is_some() => {
-            sniff::marked(rest).unwrap_or_default().to_owned()
+        // Text in UTF-16 begins with the bracket too.
+        (State::Start | State::Before(false), _) if at <= 2 && sniff::marked(buffer).is_some() => {
+            sniff::marked(buffer).unwrap_or_default().to_owned()
         }
         _ => {
             let text: String = String::from_utf8_lossy(rest).chars().take(20).collect();
@@ -237,9 +236,12 @@ mod tests {
     fn what_is_no_array_of_objects_is_refused() {
         for (text, found) in [
             ("", "an empty file"),
-            ("{\"a\": 1}\n{\"a\": 2}", "an object at byte 0 instead of an array (JSON lines?"),
+            ("{\"a\": 1}\n{\"a\": 2}", "an object instead of an array (JSON lines?"),
+            ("{\"data\": [{}]}", "an object instead of an array (its field data holds the records?"),
+            ("[\0{\0\"\0", "UTF-16 text (save it as UTF-8)"),
+            ("\0[\0{\0\"", "UTF-16 text (save it as UTF-8)"),
             ("\u{1f}", "\"\\u{1f}\" at byte 0"),
-            ("{}", "an object at byte 0 instead of an array"),
+            ("{}", "an object instead of an array"),
             ("[{}", "an end of the file after 3 bytes"),
             ("[{\"a", "an end of the file after 4 bytes"),
             ("[{},]", "a comma before the closing bracket at byte 4"),

@@ -5,7 +5,7 @@ use serde_json::Value;
 use super::chain::Chain;
 use super::lens::lens;
 use super::tables::{CalibratedSensor, EgoPose, SampleData, Sensor, Table};
-use crate::dataset::clock::{Offset, PoseTimes, TOLERANCE_US};
+use crate::dataset::clock::{KeyTimes, Offset, PoseTimes, TOLERANCE_US};
 use crate::dataset::{DatasetError, ImageDistortion};
 use crate::error::FileError;
 
@@ -48,16 +48,23 @@ impl Sensors {
     }
 
     /// Checks that the time of a key frame is near the time of its sample: boxes exist at that time only.
-    pub(super) fn check_clock(&self, data: &SampleData, chain: &Chain) -> Result<(), DatasetError> {
+    /// Adds it to the times of its sensor.
+    pub(super) fn check_clock(
+        &self,
+        data: &SampleData,
+        chain: &Chain,
+        times: &mut KeyTimes,
+    ) -> Result<(), DatasetError> {
         let Some(place) = chain.place.get(&data.sample_token).filter(|_| data.is_key_frame) else {
             return Ok(());
         };
         let sample_us = chain.times_us[*place];
-        let Some(offset) = Offset::of(data.timestamp.0, sample_us) else { return Ok(()) };
         let Sensor { channel, modality, .. } = self.sensor_of(data)?.0;
         if !READ.contains(&modality.as_str()) {
             return Ok(());
         }
+        times.add(channel, data.timestamp.0, sample_us);
+        let Some(offset) = Offset::of(data.timestamp.0, sample_us) else { return Ok(()) };
         let expected =
             format!("key frames within a second of their sample ({} at {sample_us})", data.sample_token);
         let found = format!("sample_data {} of {channel} at {}, {offset}", data.token, data.timestamp.0);
@@ -69,7 +76,9 @@ impl Sensors {
         let pose = self.poses.find(&data.ego_pose_token);
         let t_us = pose.and_then(|pose| pose.timestamp.as_ref()?.as_f64());
         if let Some(t_us) = t_us.filter(|t_us| t_us.is_finite()) {
-            times.compare(t_us as i64, data.timestamp.0, || data.ego_pose_token.clone());
+            let sensor = || self.sensor_of(data).map_or("an unknown sensor", |(sensor, _)| &sensor.channel);
+            let names = || [sensor().to_owned(), data.ego_pose_token.clone()];
+            times.compare(t_us as i64, data.timestamp.0, names);
         }
     }
 

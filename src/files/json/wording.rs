@@ -1,5 +1,12 @@
 //! Messages of the JSON parser in the words of this project: what was found, and where.
 
+use std::borrow::Cow;
+
+use serde::de::IgnoredAny;
+
+use super::shape;
+use crate::files::sniff;
+
 /// Types as the parser names them, and in plain words.
 const TYPES: [(&str, &str); 12] = [
     ("f64", "a number"),
@@ -42,10 +49,12 @@ pub(super) fn data(error: &serde_json::Error, place: &str) -> String {
 }
 
 /// Describes a document of another kind.
-pub(super) fn document(error: &serde_json::Error) -> String {
+pub(super) fn document(error: &serde_json::Error, text: &[u8]) -> String {
     let found = data(error, "");
     match found.as_str() {
-        "an object instead of an array" => format!("{found} (JSON lines? write one array)"),
+        "an object instead of an array" => shape::object_instead_of_array(text),
+        // Text may begin like JSON.
+        _ if serde_json::from_slice::<IgnoredAny>(text).is_err() => sniff::described(text).unwrap_or(found),
         _ => found,
     }
 }
@@ -60,8 +69,9 @@ pub(super) fn syntax(error: &serde_json::Error, text: &[u8], place: &str, with_p
         at -= text[..at].iter().rev().take_while(|byte| is_number(byte)).count();
     }
     let rest = &text[at..];
-    let reason = match message.as_str() {
-        _ if rest.starts_with(b"'") => "single quotes instead of double quotes",
+    let is_hex = matches!(rest.first(), Some(b'x' | b'X')) && text[..at].ends_with(b"0");
+    let reason: Cow<'_, str> = match message.as_str() {
+        _ if rest.starts_with(b"'") => "single quotes instead of double quotes".into(),
         _ if ["None", "True", "False"].iter().any(|word| rest.starts_with(word.as_bytes())) => {
             let word = &rest[..rest.iter().take_while(|b| b.is_ascii_alphabetic()).count()];
             let word = String::from_utf8_lossy(word);
@@ -71,14 +81,21 @@ pub(super) fn syntax(error: &serde_json::Error, text: &[u8], place: &str, with_p
             );
         }
         _ if rest.starts_with(b"//") || rest.starts_with(b"/*") || rest.starts_with(b"#") => {
-            "a comment, which JSON lacks,"
+            "a comment, which JSON lacks,".into()
         }
-        "trailing comma" => "a comma before the closing bracket",
-        "trailing characters" => "further text after the end",
-        "number out of range" => "a number out of range",
-        "invalid unicode code point" => "text that is not UTF-8",
-        "expected value" | "expected ident" => "no JSON value",
-        other => other,
+        _ if is_hex => "a hexadecimal number, which JSON lacks,".into(),
+        "trailing comma" => "a comma before the closing bracket".into(),
+        "trailing characters" => "further text after the end".into(),
+        "number out of range" => "a number out of range".into(),
+        "invalid unicode code point" => "text that is not UTF-8".into(),
+        "expected value" | "expected ident" => "no JSON value".into(),
+        other if other.starts_with("control character") => {
+            "a control character in a string (write \\n, \\t or \\u00XX)".into()
+        }
+        other => match other.strip_prefix("expected ") {
+            Some(expected) => format!("something else than {expected}").into(),
+            None => other.into(),
+        },
     };
     format!("{reason}{place}{}", near(rest, error, with_position))
 }

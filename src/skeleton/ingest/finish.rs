@@ -15,10 +15,14 @@ use crate::skeleton::{
     Asset, BuildReport, CHUNK_M, Checksum, Chunk, GenerateTemplates, SkeletonWriter, Source,
 };
 
+/// Note for a log whose actors are empty.
+const NO_ACTOR: &str =
+    "boxes of a log of which none has a colored point (do their times and poses fit the sweeps?)";
+
 impl Builder<'_> {
     /// Merges the cells of all runs and writes the skeleton.
     pub(super) fn finish(&self, out: &Path, templates: &GenerateTemplates) -> Result<(), BuildError> {
-        let report = with_notes(self.done.report.clone(), &self.streams);
+        let report = self.report();
         if report.sweeps == 0 {
             let logs = self.streams.iter().map(|stream| stream.log.name.clone()).collect();
             let gap = self.streams.iter().find_map(|stream| stream.log.gaps.first());
@@ -46,6 +50,22 @@ impl Builder<'_> {
             let sources = self.streams.iter().map(source).collect();
             Ok(writer.finish(sources, self.options.clone(), report.clone())?)
         })
+    }
+
+    /// Returns the report with the notes of the logs, and the boxes of each log of which none received a point.
+    fn report(&self) -> BuildReport {
+        let mut report = self.done.report.clone();
+        for (log, stream) in self.streams.iter().enumerate() {
+            for (kind, count) in &stream.log.notes {
+                *report.notes.entry(kind.clone()).or_default() += count;
+            }
+            let is_own = |cell: &Cell| matches!(cell, Cell::Track { log: other, .. } if *other == log);
+            let boxes: usize = stream.frames.iter().map(|frame| frame.boxes.len()).sum();
+            if boxes > 0 && report.sweeps > 0 && !self.done.track_sweeps.keys().any(is_own) {
+                *report.notes.entry(NO_ACTOR.to_owned()).or_default() += boxes;
+            }
+        }
+        report
     }
 
     /// Orders chunks first, then tracks by id. Track indices follow the ids within one log only.
@@ -116,12 +136,4 @@ fn source(stream: &Stream) -> Source {
         frames: stream.frames.len(),
         t_us: [time(stream.frames.first()), time(stream.frames.last())],
     }
-}
-
-/// Adds the notes of logs to a report.
-fn with_notes(mut report: BuildReport, streams: &[Stream]) -> BuildReport {
-    for (kind, count) in streams.iter().flat_map(|stream| &stream.log.notes) {
-        *report.notes.entry(kind.clone()).or_default() += count;
-    }
-    report
 }

@@ -1,9 +1,10 @@
 //! Clocks and calibration that contradict the rest of a log.
 
+use arrow_array::Int64Array;
 use serde_json::{Value, json};
 
 use super::Case;
-use crate::av2_log::{TinyAv2, picture, sweep};
+use crate::av2_log::{TinyAv2, integers, picture, sweep};
 use crate::nuplan_made::{Made, token};
 use crate::tiny_log::{FIRST_US, FRAMES, STEP_US, TinyLog};
 
@@ -138,6 +139,15 @@ fn images_of_another_clock_are_refused_in_nuplan() {
 fn sweeps_of_another_clock_are_refused_in_nuplan() {
     let made = Made::new();
     made.sql(&format!("UPDATE lidar_pc SET timestamp = timestamp + {HOUR_US}"));
+    // The images and the ego poses agree.
+    made.refuses(&["sweeps within a second of the log's ego poses and images", "lidar_pc at", "later (1 h"]);
+    let made = Made::new();
+    made.sql("UPDATE lidar_pc SET timestamp = timestamp / 1000 + rowid");
+    made.refuses(&["lidar_pc at", "milliseconds instead of microseconds"]);
+    let made = Made::new();
+    made.sql(&format!(
+        "UPDATE lidar_pc SET timestamp = timestamp + {HOUR_US}; UPDATE ego_pose SET timestamp = 0"
+    ));
     made.refuses(&["within a second of the log's lidar_pc", "earlier (1 h"]);
     let made = Made::new();
     made.sql(&format!("UPDATE ego_pose SET timestamp = timestamp + {HOUR_US}"));
@@ -145,6 +155,97 @@ fn sweeps_of_another_clock_are_refused_in_nuplan() {
     let notes = made.open().unwrap().log().notes.clone();
     let note = notes.iter().find(|(note, _)| note.contains("ego poses of another time")).unwrap();
     assert!(note.0.contains("later (1 h"), "{note:?}");
+}
+
+#[test]
+fn key_frames_beside_their_frame_are_noted() {
+    for (kind, offset_us, text) in [
+        (
+            "LIDAR",
+            400_000,
+            "3 key frames of LIDAR_TOP of another time than their boxes (used; median 0.400 s later)",
+        ),
+        (
+            "CAM_BACK",
+            -150_000,
+            "3 key frames of CAM_BACK of another time than their boxes (used; median 0.150 s earlier)",
+        ),
+    ] {
+        let log = modern();
+        change_times(&log, "sample_data", kind, |t| t + offset_us);
+        let summary = log.succeed("build nuscenes:log --out out/sk");
+        assert!(summary.contains(text) && summary.matches("of another time than").count() == 1, "{summary}");
+    }
+    // A rotation of a LiDAR lies between.
+    let log = modern();
+    change_times(&log, "sample_data", "CAM", |t| t - 100_000);
+    let summary = log.succeed("build nuscenes:log --out out/sk");
+    assert!(!summary.contains("of another time than"), "{summary}");
+}
+
+#[test]
+fn boxes_of_which_none_has_a_point_are_noted() {
+    let log = TinyLog::new();
+    let note = "boxes of a log of which none has a colored point";
+    assert!(!log.succeed("build nuscenes:log --out out/usual").contains(note));
+    let boxes = log.json("log/v1.0-mini/sample_annotation.json").as_array().unwrap().len();
+    for i in 0..boxes {
+        log.change("sample_annotation", &format!("/{i}/translation/2"), json!(90.0));
+    }
+    let summary = log.succeed("build nuscenes:log --out out/sk");
+    assert!(summary.contains(&format!("{boxes} {note}")), "{summary}");
+}
+
+#[test]
+fn images_beside_their_ego_pose_are_noted_in_nuplan() {
+    use point_skeleton::dataset::Dataset;
+    let made = Made::new();
+    assert!(made.open().unwrap().log().notes.keys().all(|note| !note.contains("another time")));
+    let camera = token('c', 2);
+    made.sql(&format!("UPDATE image SET timestamp = timestamp + 500000 WHERE camera_token = {camera}"));
+    let notes = made.open().unwrap().log().notes.clone();
+    let note = notes.iter().find(|(note, _)| note.contains("another time")).unwrap();
+    let begin = "ego poses of another time than their data of CAM_R1 (used; ego_pose ";
+    assert!(note.0.starts_with(begin) && note.0.ends_with("is 0.500 s earlier)"), "{note:?}");
+    assert_eq!(*note.1, 2);
+}
+
+#[test]
+fn units_are_named_in_all_tables() {
+    // All times of the log.
+    let all = |of: &dyn Fn(i64) -> i64| {
+        let log = modern();
+        ["sample", "sample_data"].iter().for_each(|table| change_times(&log, table, "", of));
+        let output = log.run("info nuscenes:log");
+        String::from_utf8([output.stdout, output.stderr].concat()).unwrap()
+    };
+    let text = all(&|t| t / 1_000_000);
+    assert!(text.contains("seconds instead of microseconds?") && text.contains("in sample s"), "{text}");
+    assert!(all(&|t| t * 1000).contains("nanoseconds instead of microseconds?"));
+    let text = all(&|t| t / 1000);
+    assert!(text.contains("frames 0.0005 s apart (milliseconds instead of microseconds?): 3"), "{text}");
+
+    let made = Made::new();
+    made.sql("UPDATE lidar_pc SET timestamp = timestamp / 1000000");
+    made.refuses(&["frame to frame", "(seconds instead of microseconds?)"]);
+    let made = Made::new();
+    made.sql("UPDATE image SET timestamp = timestamp * 1000");
+    made.refuses(&["of 1970", "(nanoseconds instead of microseconds?)"]);
+
+    let times = |table: &str, divisor: i64| {
+        let log = TinyAv2::new();
+        log.edit(table, |columns| {
+            let (_, column) = columns.iter_mut().find(|(name, _)| name == "timestamp_ns").unwrap();
+            let times: &Int64Array = column.as_any().downcast_ref().unwrap();
+            *column = integers(times.values().iter().map(|t_ns| t_ns / divisor).collect());
+        });
+        log
+    };
+    let seconds = "(seconds instead of nanoseconds?)";
+    times("annotations.feather", 1_000_000_000).refuses(&["two of ", seconds], "annotations.feather");
+    times("city_SE3_egovehicle.feather", 1_000_000_000).refuses(&["grow", seconds], "egovehicle.feather");
+    let micros = "(microseconds instead of nanoseconds?)";
+    times("annotations.feather", 1000).refuses(&["the first", micros], "annotations.feather");
 }
 
 #[test]

@@ -1,13 +1,14 @@
 //! What is wrong with a file, in words that name the cause: numbers that JSON lacks, other encodings, empty files and
 //! pointers, Windows' names, map records without a shape, drivers that the environment names.
 
+use std::path::Path;
 use std::process::Command;
 
 use serde_json::{Value, json};
 
 use super::Case;
 use crate::nuplan_made::Made;
-use crate::tiny_log::{PSKEL, TinyLog, assert_failed, picture, sweep};
+use crate::tiny_log::{HEIGHT, PSKEL, TinyLog, WIDTH, assert_failed, picture, sweep};
 
 /// Edits the text of a table.
 fn edit(log: &TinyLog, table: &str, edit: impl FnOnce(String) -> Vec<u8>) {
@@ -137,6 +138,59 @@ fn placeholders_are_named_in_every_reader() {
         std::fs::write(log.path(&picture(0, "CAM_FRONT")), content).unwrap();
         let (_, text) = info(&log);
         assert!(text.contains(found), "{text}");
+    }
+}
+
+#[test]
+fn files_that_are_cut_off_are_named() {
+    let log = TinyLog::new();
+    let (image, mut jpeg) = (image::RgbImage::new(WIDTH, HEIGHT), std::io::Cursor::new(Vec::new()));
+    image.write_to(&mut jpeg, image::ImageFormat::Jpeg).unwrap();
+    let jpeg = jpeg.into_inner();
+    let file = picture(1, "CAM_BACK");
+    for (content, is_whole) in [(&jpeg[..], true), (&jpeg[..jpeg.len() - 2], false), (&jpeg[..100], false)] {
+        std::fs::write(log.path(&file), content).unwrap();
+        std::fs::write(log.path("a.jpg"), content).unwrap();
+        let (code, text) = info(&log);
+        let alone = log.run("info a.jpg");
+        assert_eq!((code, alone.status.code()), if is_whole { (0, Some(0)) } else { (1, Some(1)) }, "{text}");
+        if !is_whole {
+            let found = format!("found {} bytes without an end marker (cut off)", content.len());
+            assert!(text.contains(&found) && text.contains(&file), "{text}");
+            assert_failed(&alone, 1, &[&found, "a.jpg"]);
+        }
+    }
+    for bytes in [100, 8192] {
+        let made = Made::new();
+        let cut = |path: &Path| {
+            let length = std::fs::metadata(path).unwrap().len();
+            std::fs::OpenOptions::new().write(true).open(path).unwrap().set_len(bytes).unwrap();
+            format!("found {bytes} of at least {length} bytes (cut off): ")
+        };
+        let found = cut(&made.map());
+        let message = made.open().unwrap().read_map_error();
+        assert!(message.contains(&found) && message.ends_with("map.gpkg"), "{message}");
+        let found = cut(&made.database());
+        made.refuses(&[&found]);
+    }
+}
+
+#[test]
+fn tables_of_other_shapes_are_named() {
+    type Edit = fn(String) -> Vec<u8>;
+    let edits: [(&str, Edit, &str); 6] = [
+        ("category", |text| format!("{{\"data\": {text}}}").into(), "its field data holds the records?"),
+        ("sample_data", |text| format!("{{\"data\": {text}}}").into(), "its field data holds the records?"),
+        ("sample_data", |text| text.encode_utf16().flat_map(u16::to_le_bytes).collect(), "found UTF-16 text"),
+        ("scene", |_| b"[]".to_vec(), "expected at least one scene, found none"),
+        ("sensor", |_| b"404: Not Found".to_vec(), "found text that begins with \"404: Not Found\""),
+        ("sample_data", |text| text.replacen('{', "{\"note\": 0x1F, ", 1).into(), "a hexadecimal number"),
+    ];
+    for (table, change, found) in edits {
+        let log = TinyLog::new();
+        edit(&log, table, change);
+        let (code, text) = info(&log);
+        assert!(code == 1 && text.contains(found) && text.contains(table), "{table}: {text}");
     }
 }
 
