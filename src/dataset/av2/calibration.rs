@@ -47,7 +47,8 @@ pub(super) fn read(
     let cameras = intrinsics(&inner, distortion)?;
     let mut rig = Vec::new();
     for name in RING {
-        let mut missing = |path: &Path| notes.gap(Gap::record(NO_CALIBRATION, format!("sensor {name}"), path));
+        let mut missing =
+            |path: &Path| notes.gap(Gap::record(NO_CALIBRATION, format!("sensor {name}"), path));
         let Some(camera) = cameras.iter().find(|c| c.name == name) else {
             missing(&inner);
             continue;

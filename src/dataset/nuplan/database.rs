@@ -12,8 +12,8 @@ use std::path::{Path, PathBuf};
 use rusqlite::types::ValueRef;
 use rusqlite::{Connection, OpenFlags};
 
-use crate::dataset::{DatasetError, Gap};
 use crate::dataset::limits::MAX_TIME_US;
+use crate::dataset::{DatasetError, Gap};
 use crate::error::FileError;
 use crate::files::input::open_regular;
 use crate::files::sniff;

@@ -74,7 +74,12 @@ pub(super) fn read(
     })?;
     if let (true, Some(gap)) = (shots.is_empty(), notes.gaps.first()) {
         let found = format!("none ({gap})");
-        return Err(FileError::content("at least one row in lidar_pc with an ego pose", found, database.path()).into());
+        return Err(FileError::content(
+            "at least one row in lidar_pc with an ego pose",
+            found,
+            database.path(),
+        )
+        .into());
     }
     check_times(&shots, &nexts, &times, database)?;
     note_pose_times(database, notes)?;

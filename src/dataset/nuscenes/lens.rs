@@ -79,9 +79,8 @@ pub(super) fn lens(
     let is_other = OTHER_MODELS.iter().any(|word| model.to_lowercase().contains(word));
     let coefficients = numbers(value).as_deref().and_then(Distortion::first_five).filter(|_| !is_other);
     let five = coefficients.ok_or_else(|| {
-        let expected = format!(
-            "OpenCV's k1 k2 p1 p2 k3 as {key} (--image-distortion ignore reads images as rectified)"
-        );
+        let expected =
+            format!("OpenCV's k1 k2 p1 p2 k3 as {key} (--image-distortion ignore reads images as rectified)");
         let model = if is_other { format!(" of model {model:?}") } else { String::new() };
         FileError::content(expected, format!("{value}{model} in {record}"), path)
     })?;
@@ -178,7 +177,8 @@ mod tests {
 
     /// Returns a calibrated sensor with further fields.
     fn calibrated(fields: &Value) -> CalibratedSensor {
-        let mut record = json!({"token": "c", "sensor_token": "s", "translation": [0, 0, 0], "rotation": [1, 0, 0, 0]});
+        let mut record =
+            json!({"token": "c", "sensor_token": "s", "translation": [0, 0, 0], "rotation": [1, 0, 0, 0]});
         record.as_object_mut().unwrap().extend(fields.as_object().unwrap().clone());
         serde_json::from_value(record).unwrap()
     }
@@ -239,7 +239,10 @@ mod tests {
     fn coefficients_are_applied_or_said_to_be_ignored() {
         let given = json!([-0.35, 0.14, 0.001, -0.002, -0.03]);
         let read = |option| read(given.clone(), Value::Null, option).unwrap();
-        assert_eq!(read(ImageDistortion::Usual), Lens { distortion: None, ignored: Some("camera_distortion".to_owned()) });
+        assert_eq!(
+            read(ImageDistortion::Usual),
+            Lens { distortion: None, ignored: Some("camera_distortion".to_owned()) }
+        );
         assert_eq!(read(ImageDistortion::Ignore), Lens::default());
         let applied = read(ImageDistortion::Apply).distortion.unwrap();
         assert_eq!(applied.coefficients(), [-0.35, 0.14, 0.001, -0.002, -0.03]);

@@ -9,6 +9,7 @@ mod arcline;
 mod chain;
 mod choose;
 mod frames;
+mod layers;
 mod lens;
 mod map;
 mod numbers;

@@ -266,7 +266,11 @@ mod tests {
             assert_eq!(truth(text), Ok(false), "{text}");
         }
         for text in ["2", "-1", "NaN", "\"maybe\"", "\"\"", "null", "[]"] {
-            assert!(truth(text).unwrap_err().contains("instead of true or false"), "{text}: {:?}", truth(text));
+            assert!(
+                truth(text).unwrap_err().contains("instead of true or false"),
+                "{text}: {:?}",
+                truth(text)
+            );
         }
     }
 }
