@@ -34,6 +34,7 @@ impl<E> Default for Unreadable<E> {
 }
 
 impl<E> Unreadable<E> {
+    /// Adds a record; the function returns its error.
     pub(super) fn add(&mut self, error: impl FnOnce() -> E) {
         self.count += 1;
         self.first.get_or_insert_with(error);

@@ -70,7 +70,7 @@ impl<'de> Visitor<'de> for AnyValue {
     }
 }
 
-/// Records of a layer: an array, or the values of an object. Those that cannot be read are set apart.
+/// Records of a layer, an array. Those that cannot be read are set apart.
 #[derive(Debug)]
 pub(super) struct Records<T> {
     /// In file order.
@@ -94,38 +94,51 @@ impl<T> Records<T> {
             note_missing(notes, layer);
             return Ok(Vec::new());
         };
-        unreadable.note(layer, known.len(), notes)?;
+        let none = |first| format!("no record of {layer} that can be read ({first})");
+        unreadable.note(layer, known.len(), notes).map_err(none)?;
         Ok(known)
     }
 }
 
 impl<'de, T: DeserializeOwned> Deserialize<'de> for Records<T> {
     fn deserialize<D: Deserializer<'de>>(from: D) -> Result<Self, D::Error> {
-        struct Any<T>(PhantomData<T>);
-        impl<'de, T: DeserializeOwned> Visitor<'de> for Any<T> {
-            type Value = Records<T>;
+        from.deserialize_seq(AnyRecords(PhantomData))
+    }
+}
 
-            fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-                f.write_str("an array of records, or an object by id")
-            }
+/// [`Records`] that are the values of an object by id.
+#[derive(Debug)]
+pub(super) struct ById<T>(pub(super) Records<T>);
 
-            fn visit_seq<A: SeqAccess<'de>>(self, mut array: A) -> Result<Records<T>, A::Error> {
-                let mut records = Records::default();
-                while let Some(record) = array.next_element()? {
-                    records.known.extend(readable(record, &mut records.unreadable));
-                }
-                Ok(records)
-            }
+impl<'de, T: DeserializeOwned> Deserialize<'de> for ById<T> {
+    fn deserialize<D: Deserializer<'de>>(from: D) -> Result<Self, D::Error> {
+        from.deserialize_map(AnyRecords(PhantomData)).map(Self)
+    }
+}
 
-            fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<Records<T>, A::Error> {
-                let mut records = Records::default();
-                while let Some((_, record)) = map.next_entry::<IgnoredAny, _>()? {
-                    records.known.extend(readable(record, &mut records.unreadable));
-                }
-                Ok(records)
-            }
+struct AnyRecords<T>(PhantomData<T>);
+
+impl<'de, T: DeserializeOwned> Visitor<'de> for AnyRecords<T> {
+    type Value = Records<T>;
+
+    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("an array of records, or an object by id")
+    }
+
+    fn visit_seq<A: SeqAccess<'de>>(self, mut array: A) -> Result<Records<T>, A::Error> {
+        let mut records = Records::default();
+        while let Some(record) = array.next_element()? {
+            records.known.extend(readable(record, &mut records.unreadable));
         }
-        from.deserialize_any(Any(PhantomData))
+        Ok(records)
+    }
+
+    fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<Records<T>, A::Error> {
+        let mut records = Records::default();
+        while let Some((_, record)) = map.next_entry::<IgnoredAny, _>()? {
+            records.known.extend(readable(record, &mut records.unreadable));
+        }
+        Ok(records)
     }
 }
 

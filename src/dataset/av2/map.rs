@@ -9,7 +9,7 @@ use glam::DVec2;
 use rustc_hash::FxHashSet;
 
 use crate::dataset::degenerate::{self, Fault, note_fault};
-use crate::dataset::lenient::{Coordinate, Id, Records, or_default};
+use crate::dataset::lenient::{ById, Coordinate, Id, Records, or_default};
 use crate::dataset::notes::count;
 use crate::dataset::{Area, DatasetError, Lane, VectorMap};
 use crate::error::FileError;
@@ -63,9 +63,9 @@ pub fn read_map_file(path: &Path, location: &str) -> Result<VectorMap, DatasetEr
 
 #[derive(serde::Deserialize)]
 struct Archive {
-    lane_segments: Records<LaneSegment>,
-    drivable_areas: Option<Records<DrivableArea>>,
-    pedestrian_crossings: Option<Records<Crossing>>,
+    lane_segments: ById<LaneSegment>,
+    drivable_areas: Option<ById<DrivableArea>>,
+    pedestrian_crossings: Option<ById<Crossing>>,
 }
 
 #[derive(serde::Deserialize)]
@@ -111,7 +111,9 @@ impl Archive {
     /// Returns the error of a record if no record of its layer can be read.
     fn map(self, location: &str) -> Result<VectorMap, String> {
         let mut map = VectorMap { location: location.to_owned(), ..VectorMap::default() };
-        let lanes = Records::of_layer("lane_segments", Some(self.lane_segments), &mut map.notes)?;
+        let areas = self.drivable_areas.map(|layer| layer.0);
+        let crossings = self.pedestrian_crossings.map(|layer| layer.0);
+        let lanes = Records::of_layer("lane_segments", Some(self.lane_segments.0), &mut map.notes)?;
         let mut painted = FxHashSet::default();
         for raw in &lanes {
             let unmarked = [&raw.left_lane_mark_type, &raw.right_lane_mark_type];
@@ -123,13 +125,13 @@ impl Archive {
                 Err(fault) => note_fault(&mut map.notes, "lane segments", fault),
             }
         }
-        for raw in Records::of_layer("drivable_areas", self.drivable_areas, &mut map.notes)? {
+        for raw in Records::of_layer("drivable_areas", areas, &mut map.notes)? {
             match area(points(&raw.area_boundary)) {
                 Ok(area) => map.drivable_area.push(area),
                 Err(fault) => note_fault(&mut map.notes, "drivable areas", fault),
             }
         }
-        for raw in Records::of_layer("pedestrian_crossings", self.pedestrian_crossings, &mut map.notes)? {
+        for raw in Records::of_layer("pedestrian_crossings", crossings, &mut map.notes)? {
             match area(between(&points(&raw.edge1), points(&raw.edge2))) {
                 Ok(area) => map.crossings.push(area),
                 Err(fault) => note_fault(&mut map.notes, "crossings", fault),

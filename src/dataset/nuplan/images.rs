@@ -163,8 +163,8 @@ fn camera(row: &Row<'_>, database: &Database) -> Result<Camera, DatasetError> {
 
 /// Returns the distortion coefficients of a row of `camera`, `k1 k2 p1 p2` and `k3` or further zeros.
 fn coefficients(row: &Row<'_>) -> Result<[f64; 5], DatasetError> {
-    const EXPECTED: &str = "a pickled list of 5 numbers (k1 k2 p1 p2 k3)";
-    let all = unpickled(row, 5, EXPECTED, pickle::Value::numbers)?;
+    const EXPECTED: &str = "a pickled list of 4 or 5 numbers";
+    let all = unpickled(row, 5, EXPECTED, |value| value.numbers().filter(|all| all.len() >= 4))?;
     if !all.iter().all(|v| v.is_finite()) {
         return Err(row.wrong(5, "finite numbers", &format!("{all:?}")));
     }

@@ -246,7 +246,7 @@ mod tests {
         for (text, found) in [
             ("NaN", "NaN instead of microseconds"),
             ("null", "null instead of microseconds"),
-            ("\"noon\"", "noon instead of microseconds"),
+            ("\"noon\"", "\"noon\" instead of microseconds"),
             ("\"\"", "instead of microseconds"),
             ("\"inf\"", "inf instead of microseconds"),
             ("1e20", "a time of 100000000000000000000 us, a thousand years from 1970 or more"),
