@@ -1,4 +1,4 @@
-//! Map records without an area or a length: they are skipped and counted, so that one of them does not cost the map.
+//! Damaged map records: they are skipped and counted, so that one of them does not cost the map.
 
 use glam::DVec2;
 
@@ -14,6 +14,50 @@ pub(super) enum Fault {
     /// A reference to a record that does not exist.
     #[cfg_attr(not(any(feature = "nuscenes", feature = "nuplan")), expect(dead_code))]
     Dangling,
+    /// The identifier of an earlier record.
+    #[cfg_attr(not(feature = "nuscenes"), expect(dead_code))]
+    Twice,
+}
+
+/// Records of a layer that cannot be read at all.
+#[derive(Clone, Debug)]
+pub(super) struct Unreadable<E> {
+    count: usize,
+    /// Error of the first one.
+    first: Option<E>,
+}
+
+impl<E> Default for Unreadable<E> {
+    fn default() -> Self {
+        Self { count: 0, first: None }
+    }
+}
+
+impl<E> Unreadable<E> {
+    /// Adds a record; the function returns its error.
+    pub(super) fn add(&mut self, error: impl FnOnce() -> E) {
+        self.count += 1;
+        self.first.get_or_insert_with(error);
+    }
+
+    /// Counts them, beside `known` records of the layer that can be read.
+    ///
+    /// # Errors
+    /// Returns the first error if there are no others: then the layer has another format.
+    pub(super) fn note(self, layer: &str, known: usize, notes: &mut Counts) -> Result<(), E> {
+        match self.first {
+            Some(error) if known == 0 => Err(error),
+            _ => {
+                count(notes, &format!("records of {layer} that cannot be read (skipped)"), self.count);
+                Ok(())
+            }
+        }
+    }
+}
+
+/// Counts a layer that a map lacks.
+pub(super) fn note_missing(notes: &mut Counts, layer: &str) {
+    count(notes, &format!("maps without {layer}"), 1);
 }
 
 /// Returns the corners of a ring without repetitions of the first one at its end.
@@ -49,6 +93,7 @@ pub(super) fn note_fault(notes: &mut Counts, layer: &str, fault: Fault) {
         Fault::NoArea => "without an area",
         Fault::NoLength => "without a length",
         Fault::Dangling => "that refer to a missing record",
+        Fault::Twice => "with the identifier of another",
     };
     count(notes, &format!("{layer} {what} (skipped)"), 1);
 }

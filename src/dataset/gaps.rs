@@ -35,7 +35,7 @@ pub struct Gap {
 /// Location of a gap.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum GapPlace {
-    /// File that the log names and that does not exist.
+    /// File that the log names and that does not exist, or a missing folder of files.
     File(PathBuf),
     /// Record of a table that is missing or has to be skipped.
     Record {
@@ -51,6 +51,17 @@ impl Gap {
     #[cfg(any(feature = "nuscenes", feature = "nuplan", feature = "av2"))]
     pub(super) fn record(kind: &'static str, record: impl Into<String>, path: &Path) -> Self {
         Self { kind, place: GapPlace::Record { record: record.into(), path: path.to_owned() } }
+    }
+
+    /// Creates the gap of a record `by` whose reference to another table leads nowhere; `path` is the file of that table.
+    #[cfg(any(feature = "nuscenes", feature = "nuplan"))]
+    pub(super) fn dangling(kind: &'static str, by: &str, table: &str, token: &str, path: &Path) -> Self {
+        Self::record(kind, format!("{by}, whose {table} {token} is missing"), path)
+    }
+
+    /// Creates the gap of a file that does not exist.
+    pub(super) fn missing(kind: &'static str, path: PathBuf) -> Self {
+        Self { kind, place: GapPlace::File(path) }
     }
 
     /// Returns the missing file; `None` for other gaps.

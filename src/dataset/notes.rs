@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use rayon::prelude::*;
 
-use super::{DatasetError, Gap, GapPlace, MissingData, Recording};
+use super::{DatasetError, Gap, MissingData, Recording};
 use crate::error::FileError;
 use crate::files::input::is_there;
 
@@ -15,6 +15,14 @@ pub(super) const NO_IMAGE: &str = "missing camera images";
 pub(super) const FLAT_BOX: &str = "boxes without a size";
 /// Kind of a gap: a frame to which no sweep belongs.
 pub(super) const NO_SWEEP: &str = "frames without a LiDAR sweep of their own";
+/// Kind of a gap: a sweep or an image whose pose, sensor or calibration is missing.
+#[cfg(any(feature = "nuscenes", feature = "nuplan"))]
+pub(super) const DANGLING_DATA: &str = "sweeps and images that refer to a missing record";
+/// Kind of a gap: a box whose track or category is missing.
+#[cfg(any(feature = "nuscenes", feature = "nuplan"))]
+pub(super) const DANGLING_BOX: &str = "boxes that refer to a missing record";
+/// Kind of a gap: a log of the test split, for instance.
+pub(super) const NO_ANNOTATIONS: &str = "logs without annotations";
 const NO_SWEEP_FILE: &str = "missing sweep files";
 const NO_IMAGE_FILE: &str = "missing image files";
 
@@ -75,7 +83,7 @@ fn missing_files(log: &Recording) -> Vec<Gap> {
     let files: Vec<(&PathBuf, &'static str)> = files.filter(|(path, _)| seen.insert(*path)).collect();
     let found: Vec<Result<bool, FileError>> = files.par_iter().map(|(path, _)| is_there(path)).collect();
     let missing = files.into_iter().zip(found).filter(|(_, found)| matches!(found, Ok(false)));
-    missing.map(|((path, kind), _)| Gap { kind, place: GapPlace::File(path.clone()) }).collect()
+    missing.map(|((path, kind), _)| Gap::missing(kind, path.clone())).collect()
 }
 
 /// Kind of the boxes whose stated number of points is not a number.

@@ -109,6 +109,8 @@ impl LogSummary {
         let log = dataset.log();
         let mut damaged: Vec<String> =
             log.gaps.iter().filter(|gap| gap.file().is_some()).map(ToString::to_string).collect();
+        // The frames of a camera may miss the same folder.
+        damaged.dedup();
         let (points, errors) = sweeps(dataset);
         damaged.extend(errors);
         let mut left_out = log.notes.clone();

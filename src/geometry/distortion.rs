@@ -22,6 +22,16 @@ impl Distortion {
         ([k1, k2, p1, p2, k3] != [0.0; 5]).then_some(Self { k1, k2, p1, p2, k3 })
     }
 
+    /// Returns `k1 k2 p1 p2 k3` of four or more coefficients in OpenCV's order; `None` unless they are finite and the rest is zero.
+    #[cfg(any(feature = "nuscenes", feature = "nuplan"))]
+    pub(crate) fn first_five(all: &[f64]) -> Option<[f64; 5]> {
+        let mut five = [0.0; 5];
+        let used = all.len().min(5);
+        five[..used].copy_from_slice(&all[..used]);
+        let fits = used >= 4 && five.iter().all(|v| v.is_finite()) && all[used..].iter().all(|v| *v == 0.0);
+        fits.then_some(five)
+    }
+
     /// Returns the coefficients in OpenCV's order: `k1 k2 p1 p2 k3`.
     pub fn coefficients(&self) -> [f64; 5] {
         [self.k1, self.k2, self.p1, self.p2, self.k3]

@@ -9,7 +9,8 @@ use std::path::Path;
 
 use super::feather::Table;
 use super::poses::{POSE, poses};
-use crate::dataset::{DatasetError, ImageDistortion, RigCamera};
+use crate::dataset::notes::Notes;
+use crate::dataset::{DatasetError, Gap, ImageDistortion, RigCamera};
 use crate::error::FileError;
 use crate::files::first_twice;
 use crate::geometry::{Camera, Distortion};
@@ -25,23 +26,39 @@ pub(super) const RING: [&str; 7] = [
     "ring_front_left",
 ];
 
-/// Reads the ring cameras that the files contain, in ring order. `channel` is the index in this list.
+/// Kind of a gap: a ring camera without a row in one of the files.
+const NO_CALIBRATION: &str = "ring cameras without calibration";
+
+/// Reads the ring cameras that both files contain, in ring order, and counts the others. `channel` is the index in this
+/// list.
 ///
 /// # Errors
-/// Fails if a file is damaged, or a camera is invalid, occurs twice or has no extrinsics.
-pub(super) fn read(folder: &Path, distortion: ImageDistortion) -> Result<Vec<RigCamera>, DatasetError> {
+/// Fails if a file is damaged, or a camera is invalid or occurs twice.
+pub(super) fn read(
+    folder: &Path,
+    distortion: ImageDistortion,
+    notes: &mut Notes,
+) -> Result<Vec<RigCamera>, DatasetError> {
     let path = folder.join("egovehicle_SE3_sensor.feather");
     let extrinsics = Table::read(&path, &[&["sensor_name"], &POSE[..]].concat())?;
     let sensors = extrinsics.column("sensor_name")?.texts()?;
     let ego_from_sensor = poses(&extrinsics, |row| format!("sensor {}", sensors[row]))?;
-    let cameras = intrinsics(&folder.join("intrinsics.feather"), distortion)?;
+    let inner = folder.join("intrinsics.feather");
+    let cameras = intrinsics(&inner, distortion)?;
     let mut rig = Vec::new();
     for name in RING {
-        let Some(camera) = cameras.iter().find(|c| c.name == name) else { continue };
+        let mut missing =
+            |path: &Path| notes.gap(Gap::record(NO_CALIBRATION, format!("sensor {name}"), path));
+        let Some(camera) = cameras.iter().find(|c| c.name == name) else {
+            missing(&inner);
+            continue;
+        };
         let twice = |path: &Path| FileError::content("every sensor once", format!("{name} twice"), path);
         let mut places = sensors.iter().zip(&ego_from_sensor).filter(|(sensor, _)| **sensor == name);
-        let found = || FileError::content(format!("a row of sensor {name}"), "none", &path);
-        let (_, ego_from_camera) = places.next().ok_or_else(found)?;
+        let Some((_, ego_from_camera)) = places.next() else {
+            missing(&path);
+            continue;
+        };
         if places.next().is_some() {
             return Err(twice(&path).into());
         }

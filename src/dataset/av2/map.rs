@@ -7,10 +7,10 @@ use std::path::{Path, PathBuf};
 
 use glam::DVec2;
 use rustc_hash::FxHashSet;
-use serde::de::{Deserialize, Deserializer, MapAccess, Visitor};
 
 use crate::dataset::degenerate::{self, Fault, note_fault};
-use crate::dataset::lenient::{Coordinate, or_default};
+use crate::dataset::lenient::{ById, Coordinate, Id, Records, or_default};
+use crate::dataset::notes::count;
 use crate::dataset::{Area, DatasetError, Lane, VectorMap};
 use crate::error::FileError;
 use crate::files::json;
@@ -51,34 +51,35 @@ pub(super) fn city(map: Option<&Path>) -> String {
     city.map_or_else(String::new, |(city, _)| city.to_owned())
 }
 
-/// Reads a map. Records without an area or a length are skipped and counted.
+/// Reads a map. Records without an area or a length, those that cannot be read, and missing layers of areas are counted.
 ///
 /// # Errors
-/// Fails if the file cannot be read or is not such a map.
+/// Fails if the file cannot be read or has no lanes, or if no record of a layer can be read.
 pub fn read_map_file(path: &Path, location: &str) -> Result<VectorMap, DatasetError> {
     let raw: Archive = json::read(path, "an Argoverse 2 map")?;
-    Ok(raw.map(location))
+    let wrong = |found| FileError::content("an Argoverse 2 map", found, path).into();
+    raw.map(location).map_err(wrong)
 }
 
 #[derive(serde::Deserialize)]
 struct Archive {
-    lane_segments: Entries<LaneSegment>,
-    drivable_areas: Entries<DrivableArea>,
-    pedestrian_crossings: Entries<Crossing>,
+    lane_segments: ById<LaneSegment>,
+    drivable_areas: Option<ById<DrivableArea>>,
+    pedestrian_crossings: Option<ById<Crossing>>,
 }
 
 #[derive(serde::Deserialize)]
 struct LaneSegment {
-    id: i64,
+    id: Id,
     is_intersection: bool,
     #[serde(default, deserialize_with = "or_default")]
     left_lane_boundary: Vec<Point>,
     #[serde(default, deserialize_with = "or_default")]
     right_lane_boundary: Vec<Point>,
-    left_lane_mark_type: String,
-    right_lane_mark_type: String,
+    left_lane_mark_type: Option<String>,
+    right_lane_mark_type: Option<String>,
     #[serde(default, deserialize_with = "or_default")]
-    successors: Vec<i64>,
+    successors: Vec<Id>,
 }
 
 #[derive(serde::Deserialize)]
@@ -103,55 +104,40 @@ struct Point {
     y: Coordinate,
 }
 
-/// Values of a JSON object, in file order.
-struct Entries<T>(Vec<T>);
-
-impl<'de, T: Deserialize<'de>> Deserialize<'de> for Entries<T> {
-    fn deserialize<D: Deserializer<'de>>(from: D) -> Result<Self, D::Error> {
-        struct Values<T>(std::marker::PhantomData<T>);
-        impl<'de, T: Deserialize<'de>> Visitor<'de> for Values<T> {
-            type Value = Entries<T>;
-
-            fn expecting(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-                f.write_str("an object by id")
-            }
-
-            fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<Entries<T>, A::Error> {
-                let mut values = Vec::new();
-                while let Some((_, value)) = map.next_entry::<serde::de::IgnoredAny, T>()? {
-                    values.push(value);
-                }
-                Ok(Entries(values))
-            }
-        }
-        from.deserialize_map(Values(std::marker::PhantomData))
-    }
-}
-
 impl Archive {
-    fn map(&self, location: &str) -> VectorMap {
+    /// Converts the map.
+    ///
+    /// # Errors
+    /// Returns the error of a record if no record of its layer can be read.
+    fn map(self, location: &str) -> Result<VectorMap, String> {
         let mut map = VectorMap { location: location.to_owned(), ..VectorMap::default() };
+        let areas = self.drivable_areas.map(|layer| layer.0);
+        let crossings = self.pedestrian_crossings.map(|layer| layer.0);
+        let lanes = Records::of_layer("lane_segments", Some(self.lane_segments.0), &mut map.notes)?;
         let mut painted = FxHashSet::default();
-        for raw in &self.lane_segments.0 {
+        for raw in &lanes {
+            let unmarked = [&raw.left_lane_mark_type, &raw.right_lane_mark_type];
+            let unmarked = unmarked.iter().filter(|mark| mark.is_none()).count();
+            count(&mut map.notes, "lane boundaries without a mark type (not drawn)", unmarked);
             let of = if raw.is_intersection { &mut map.lane_connectors } else { &mut map.lanes };
             match raw.lane(&mut map.dividers, &mut painted) {
                 Ok(lane) => of.push(lane),
                 Err(fault) => note_fault(&mut map.notes, "lane segments", fault),
             }
         }
-        for raw in &self.drivable_areas.0 {
+        for raw in Records::of_layer("drivable_areas", areas, &mut map.notes)? {
             match area(points(&raw.area_boundary)) {
                 Ok(area) => map.drivable_area.push(area),
                 Err(fault) => note_fault(&mut map.notes, "drivable areas", fault),
             }
         }
-        for raw in &self.pedestrian_crossings.0 {
+        for raw in Records::of_layer("pedestrian_crossings", crossings, &mut map.notes)? {
             match area(between(&points(&raw.edge1), points(&raw.edge2))) {
                 Ok(area) => map.crossings.push(area),
                 Err(fault) => note_fault(&mut map.notes, "crossings", fault),
             }
         }
-        map
+        Ok(map)
     }
 }
 
@@ -166,7 +152,7 @@ impl LaneSegment {
         let right = degenerate::line(points(&self.right_lane_boundary))?;
         let outline = area(left.iter().chain(right.iter().rev()).copied().collect())?;
         for (line, mark) in [(&left, &self.left_lane_mark_type), (&right, &self.right_lane_mark_type)] {
-            let painted = !["NONE", "UNKNOWN"].contains(&mark.as_str());
+            let painted = !["NONE", "UNKNOWN"].contains(&mark.as_deref().unwrap_or("UNKNOWN"));
             if painted && brought.insert(key(line)) {
                 dividers.push(line.clone());
             }
@@ -175,7 +161,7 @@ impl LaneSegment {
             id: self.id.to_string(),
             outline,
             centerline: midway(&left, &right),
-            successors: self.successors.iter().map(i64::to_string).collect(),
+            successors: self.successors.iter().map(Id::to_string).collect(),
         })
     }
 }

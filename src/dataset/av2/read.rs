@@ -6,13 +6,15 @@ use super::annotations::Annotations;
 use super::poses::{Trajectory, micros};
 use super::{calibration, sensors};
 use crate::dataset::clock::{Offset, Unit, note_interval};
-use crate::dataset::notes::{FLAT_BOX, Notes, UNKNOWN_POINTS, note, note_unknown_category, settle};
+use crate::dataset::notes::{
+    FLAT_BOX, NO_ANNOTATIONS, Notes, UNKNOWN_POINTS, note, note_unknown_category, settle,
+};
 use crate::dataset::{BoxPoints, DatasetError, Frame, Gap, ReadOptions, Recording, TrackBox};
 use crate::error::FileError;
 use crate::files::input::is_there;
 
-/// Kind of a gap: a log of the test split, or of the lidar or map-change sets.
-const NO_ANNOTATIONS: &str = "logs without annotations";
+/// Kind of a gap: an annotated time outside of the recorded poses.
+const NO_POSE: &str = "annotated times without an ego pose";
 
 /// Reads a log with its sweeps and images in `sensors`. Also returns the stated number of LiDAR points per frame and
 /// box.
@@ -25,12 +27,18 @@ pub(super) fn read(
 ) -> Result<(Recording, BoxPoints), DatasetError> {
     let path = folder.join("annotations.feather");
     let lidar = sensors.join("lidar");
-    let is_annotated = is_there(&path)?;
-    let annotations =
-        if is_annotated { Annotations::read(&path)? } else { Annotations::none(sensors::times_ns(&lidar)?) };
-    let ego = Trajectory::read(&folder.join("city_SE3_egovehicle.feather"))?;
-    let rig = calibration::read(&folder.join("calibration"), reading.distortion)?;
+    let annotations = if is_there(&path)? { Some(Annotations::read(&path)?) } else { None };
+    // Logs of the test split, and of the lidar and map-change sets, have none.
+    let annotations = annotations.filter(|annotations| !annotations.frames.is_empty());
+    let is_annotated = annotations.is_some();
+    let annotations = match annotations {
+        Some(annotations) => annotations,
+        None => Annotations::none(sensors::times_ns(&lidar)?),
+    };
+    let poses = folder.join("city_SE3_egovehicle.feather");
+    let ego = Trajectory::read(&poses)?;
     let mut notes = Notes::new();
+    let rig = calibration::read(&folder.join("calibration"), reading.distortion, &mut notes)?;
     if !is_annotated {
         notes.gap(Gap::record(NO_ANNOTATIONS, "frames are at the times of sweeps, without actors", &path));
     }
@@ -38,12 +46,10 @@ pub(super) fn read(
         note_unknown_category(&mut notes, category, *boxes);
     }
     note(&mut notes, "boxes of another category than their track", annotations.other_category);
-    let uncalibrated = calibration::RING.len().saturating_sub(rig.len());
-    note(&mut notes, "ring cameras without calibration", uncalibrated);
     let (mut times_ns, mut frames, mut box_points) = (Vec::new(), Vec::new(), Vec::new());
     for (&t_ns, boxes) in &annotations.frames {
         let Some(global_from_ego) = ego.at(t_ns) else {
-            note(&mut notes, "annotated times without an ego pose", 1);
+            notes.gap(Gap::record(NO_POSE, format!("time {t_ns}"), &poses));
             continue;
         };
         let t_us = micros(t_ns);

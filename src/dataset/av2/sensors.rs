@@ -2,15 +2,26 @@
 
 use std::path::{Path, PathBuf};
 
-use super::poses::{Trajectory, micros};
+use rustc_hash::FxHashMap;
+
+use super::poses::{Trajectory, micros, nearest};
 use crate::dataset::clock::{Offset, Unit};
 use crate::dataset::notes::{NO_IMAGE, NO_SWEEP, Notes, note};
 use crate::dataset::{Frame, Gap, ImageRecord, RigCamera, SweepRecord};
 use crate::error::FileError;
+use crate::files::input::is_there;
 use crate::geometry::Pose;
 
 /// Maximum time difference between a frame and its image, nanoseconds. Ring cameras run at 20 Hz.
 const IMAGE_TOLERANCE_NS: u64 = 50_000_000;
+
+/// Maximum time difference between a frame and its own sweep, nanoseconds: more than rounding by 64-bit floats, and less
+/// than the time in which points of the ego or of actors move by a voxel.
+const SWEEP_TOLERANCE_NS: u64 = 1_000_000;
+
+/// Kind of a gap: a time without an ego pose, from which a sweep or an image is.
+const NO_POSE_OF_SWEEP: &str = "sweeps without an ego pose";
+const NO_POSE_OF_IMAGE: &str = "images without an ego pose";
 
 /// File named by its time.
 struct Timed {
@@ -45,7 +56,8 @@ pub(super) fn times_ns(folder: &Path) -> Result<Vec<i64>, FileError> {
     Ok(list(folder, &["feather"], &mut Notes::new())?.iter().map(|file| file.t_ns).collect())
 }
 
-/// Assigns sweeps to frames: each belongs to the first frame at or after its time.
+/// Assigns sweeps to frames: the nearest within [`SWEEP_TOLERANCE_NS`] is a frame's own. The others belong to the first
+/// frame at or after their time. The own sweep that is missing is a missing file, since its name is known.
 ///
 /// # Errors
 /// Fails if the folder cannot be read.
@@ -58,23 +70,45 @@ pub(super) fn add_sweeps(
 ) -> Result<(), FileError> {
     let files = list(folder, &["feather"], notes)?;
     check_clock(&files, "sweeps", times_ns)?;
-    for Timed { t_ns, path } in files {
-        let place = times_ns.partition_point(|t| *t < t_ns);
-        let (Some(frame), Some(global_from_ego)) = (frames.get_mut(place), ego.at(t_ns)) else {
-            note(notes, "sweeps after the last frame or without an ego pose", 1);
+    let own = own_sweeps(&files, times_ns);
+    let frame_of: FxHashMap<usize, usize> =
+        own.iter().enumerate().filter_map(|(frame, file)| Some(((*file)?, frame))).collect();
+    for (i, Timed { t_ns, path }) in files.into_iter().enumerate() {
+        let Some(global_from_ego) = ego.at(t_ns) else {
+            notes.gap(Gap::record(NO_POSE_OF_SWEEP, format!("sweep at {t_ns}"), folder));
             continue;
         };
-        let (t_us, is_key) = (micros(t_ns), times_ns[place] == t_ns);
+        let own_frame = frame_of.get(&i).copied();
+        let place = own_frame.unwrap_or_else(|| times_ns.partition_point(|t| *t < t_ns));
+        let Some(frame) = frames.get_mut(place) else {
+            note(notes, "sweeps after the last frame", 1);
+            continue;
+        };
         // Sweeps are stored in the ego frame, with motion compensation.
-        let ego_from_lidar = Pose::IDENTITY;
-        // Sweeps arrive in time order, so the frame's own ends up first, then the latest.
-        let record = SweepRecord { path, t_us, global_from_ego, ego_from_lidar, is_key };
-        frame.sweeps.insert(0, record);
+        let (t_us, ego_from_lidar, is_key) = (micros(t_ns), Pose::IDENTITY, own_frame.is_some());
+        frame.sweeps.push(SweepRecord { path, t_us, global_from_ego, ego_from_lidar, is_key });
     }
-    for frame in frames.iter().filter(|frame| !frame.sweeps.first().is_some_and(|sweep| sweep.is_key)) {
-        notes.gap(Gap::record(NO_SWEEP, format!("frame at {}", frame.t_us), folder));
+    for ((frame, t_ns), own) in frames.iter_mut().zip(times_ns).zip(own) {
+        // The frame's own sweep first, then the latest.
+        frame.sweeps.sort_by_key(|sweep| (!sweep.is_key, std::cmp::Reverse(sweep.t_us)));
+        if own.is_none() {
+            notes.gap(Gap::missing(NO_SWEEP, folder.join(format!("{t_ns}.feather"))));
+        }
     }
     Ok(())
+}
+
+/// Returns for each frame the index of its own sweep: of those that are nearer to it than to other frames, the nearest.
+fn own_sweeps(files: &[Timed], times_ns: &[i64]) -> Vec<Option<usize>> {
+    let mut own: Vec<Option<usize>> = vec![None; times_ns.len()];
+    for (i, file) in files.iter().enumerate() {
+        let Some(frame) = nearest(times_ns, file.t_ns, SWEEP_TOLERANCE_NS) else { continue };
+        let distance = |i: usize| files[i].t_ns.abs_diff(times_ns[frame]);
+        if own[frame].is_none_or(|other| distance(i) < distance(other)) {
+            own[frame] = Some(i);
+        }
+    }
+    own
 }
 
 /// Assigns a camera's images to frames: the nearest in time to each frame, the others between frames.
@@ -95,7 +129,7 @@ pub(super) fn add_images(
     check_clock(&files, "images", times_ns)?;
     for Timed { t_ns, path } in files {
         let Some(global_from_ego) = ego.at(t_ns) else {
-            note(notes, "images without an ego pose", 1);
+            notes.gap(Gap::record(NO_POSE_OF_IMAGE, format!("image at {t_ns}"), &folder));
             continue;
         };
         let RigCamera { channel, ego_from_camera, camera } = rig.clone();
@@ -104,12 +138,18 @@ pub(super) fn add_images(
         let record = ImageRecord { token, channel, path, t_us, global_from_ego, ego_from_camera, camera };
         records.push((t_ns, record));
     }
+    // The names of images are not known, but that of their folder is.
+    let has_folder = is_there(&folder)?;
+    let missing = |t_us: i64| match has_folder {
+        true => Gap::record(NO_IMAGE, format!("frame at {t_us}"), &folder),
+        false => Gap::missing(NO_IMAGE, folder.clone()),
+    };
     let image_times: Vec<i64> = records.iter().map(|(t_ns, _)| *t_ns).collect();
     let mut frame_of = vec![None; records.len()];
     for (place, t_ns) in times_ns.iter().enumerate() {
-        match nearest(&image_times, *t_ns) {
+        match nearest(&image_times, *t_ns, IMAGE_TOLERANCE_NS) {
             Some(image) if frame_of[image].is_none() => frame_of[image] = Some(place),
-            _ => notes.gap(Gap::record(NO_IMAGE, format!("frame at {}", frames[place].t_us), &folder)),
+            _ => notes.gap(missing(frames[place].t_us)),
         }
     }
     for ((t_ns, record), own) in records.into_iter().zip(frame_of) {
@@ -133,17 +173,29 @@ fn check_clock(files: &[Timed], kind: &str, times_ns: &[i64]) -> Result<(), File
     Err(FileError::content(expected, format!("the first one {offset}"), &file.path))
 }
 
-/// Returns the index of the nearest of ascending times within [`IMAGE_TOLERANCE_NS`]. Ties go to the earlier one.
-fn nearest(times_ns: &[i64], t_ns: i64) -> Option<usize> {
-    let next = times_ns.partition_point(|t| *t < t_ns);
-    let candidates = next.saturating_sub(1)..times_ns.len().min(next + 1);
-    let best = candidates.min_by_key(|i| times_ns[*i].abs_diff(t_ns))?;
-    (times_ns[best].abs_diff(t_ns) <= IMAGE_TOLERANCE_NS).then_some(best)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// Returns the index of the image that is taken at a time.
+    fn nearest(times_ns: &[i64], t_ns: i64) -> Option<usize> {
+        super::nearest(times_ns, t_ns, IMAGE_TOLERANCE_NS)
+    }
+
+    #[test]
+    fn the_nearest_sweep_within_a_millisecond_is_the_frames_own() {
+        let own = |files: &[i64], frames: &[i64]| {
+            let file = |t_ns: &i64| Timed { t_ns: *t_ns, path: PathBuf::new() };
+            own_sweeps(&files.iter().map(file).collect::<Vec<_>>(), frames)
+        };
+        let frames = [100_000_000, 200_000_000];
+        assert_eq!(own(&[100_000_001, 199_000_000], &frames), [Some(0), Some(1)]);
+        assert_eq!(own(&[98_999_999, 201_000_001], &frames), [None, None]);
+        assert_eq!(own(&[99_999_000, 100_000_064, 100_000_900], &frames), [Some(1), None]);
+        // Of two frames that are close, the nearer one.
+        assert_eq!(own(&[500_000], &[0, 500_000]), [None, Some(0)]);
+        assert_eq!(own(&[], &frames), [None, None]);
+    }
 
     #[test]
     fn the_nearest_image_is_taken_within_the_tolerance() {

@@ -5,7 +5,7 @@ use rustc_hash::{FxHashMap, FxHashSet};
 
 use super::database::{Database, Query, Row, hex};
 use super::frames::FrameRecord;
-use crate::dataset::notes::{FLAT_BOX, Notes, note, note_unknown_category};
+use crate::dataset::notes::{DANGLING_BOX, FLAT_BOX, NO_ANNOTATIONS, Notes, note, note_unknown_category};
 use crate::dataset::{CategoryKind, Class, DatasetError, Gap, Track, TrackBox};
 use crate::error::FileError;
 use crate::geometry::{Cuboid, Pose, PoseError};
@@ -18,7 +18,17 @@ pub(super) struct Annotations {
     pub(super) frames: Vec<Vec<TrackBox>>,
 }
 
-/// Reads the boxes of the frames. Counts boxes without a size and boxes of frames that are missing from the log.
+/// Row of `track`.
+struct TrackRow {
+    token: Vec<u8>,
+    /// Token of its category, if any.
+    category: Option<Vec<u8>>,
+    /// `None` if its category is missing.
+    track: Option<Track>,
+}
+
+/// Reads the boxes of the frames. Counts boxes without a size, and those that refer to frames, tracks or categories that are
+/// missing from the log.
 pub(super) fn read(
     database: &Database,
     shots: &[FrameRecord],
@@ -26,15 +36,16 @@ pub(super) fn read(
 ) -> Result<Annotations, DatasetError> {
     let all = tracks(database)?;
     let by_token: FxHashMap<&[u8], usize> =
-        all.iter().enumerate().map(|(i, (token, _))| (token.as_slice(), i)).collect();
+        all.iter().enumerate().map(|(i, row)| (row.token.as_slice(), i)).collect();
     let places: FxHashMap<&[u8], usize> =
         shots.iter().enumerate().map(|(i, shot)| (shot.token.as_slice(), i)).collect();
-    let mut others = None;
+    let (mut others, mut has_boxes) = (None, false);
     let mut frames: Vec<Vec<TrackBox>> = shots.iter().map(|_| Vec::new()).collect();
     let columns =
         &["token", "lidar_pc_token", "track_token", "x", "y", "z", "length", "width", "height", "yaw"];
     database.rows(&Query { table: "lidar_box", columns, from: "FROM lidar_box" }, |row| {
-        let (frame, track) = (row.blob(1)?, row.blob(2)?);
+        has_boxes = true;
+        let (frame, token) = (row.blob(1)?, row.reference(2)?);
         let Some(place) = places.get(frame) else {
             // The frame belongs to another scene or is missing, since logs are cut from longer recordings.
             let others = match &mut others {
@@ -44,24 +55,35 @@ pub(super) fn read(
             note(notes, "boxes of frames that are not there", usize::from(!others.contains(frame)));
             return Ok(());
         };
-        let track = *by_token.get(track).ok_or_else(|| row.dangling("track", track))?;
+        let Some(index) = token.and_then(|token| by_token.get(token)).copied() else {
+            notes.gap(row.dangling(DANGLING_BOX, "track", token));
+            return Ok(());
+        };
+        let TrackRow { category, track, .. } = &all[index];
+        let Some(track) = track else {
+            notes.gap(row.dangling(DANGLING_BOX, "category", category.as_deref()));
+            return Ok(());
+        };
         match cuboid(row, database)? {
             Some(cuboid) => {
-                if CategoryKind::of(&all[track].1.category).is_none() {
-                    note_unknown_category(notes, &all[track].1.category, 1);
+                if CategoryKind::of(&track.category).is_none() {
+                    note_unknown_category(notes, &track.category, 1);
                 }
-                frames[*place].push(TrackBox { track, cuboid });
+                frames[*place].push(TrackBox { track: index, cuboid });
             }
             None => notes.gap(Gap::record(FLAT_BOX, row.name(), database.path())),
         }
         Ok(())
     })?;
     drop(by_token);
+    if !has_boxes {
+        notes.gap(Gap::record(NO_ANNOTATIONS, "frames are without actors", database.path()));
+    }
     for (boxes, shot) in frames.iter_mut().zip(shots) {
         boxes.sort_by_key(|b| b.track);
         if let Some(pair) = boxes.windows(2).find(|pair| pair[0].track == pair[1].track) {
             let found =
-                format!("two of track {} in lidar_pc {}", hex(&all[pair[0].track].0), hex(&shot.token));
+                format!("two of track {} in lidar_pc {}", hex(&all[pair[0].track].token), hex(&shot.token));
             return Err(FileError::content("one box per track and frame", found, database.path()).into());
         }
     }
@@ -69,18 +91,18 @@ pub(super) fn read(
 }
 
 /// Reads all tracks in token order.
-fn tracks(database: &Database) -> Result<Vec<(Vec<u8>, Track)>, DatasetError> {
+fn tracks(database: &Database) -> Result<Vec<TrackRow>, DatasetError> {
     let columns = &["track.token", "track.category_token", "category.token", "category.name"];
     let from = "FROM track LEFT JOIN category ON category.token = track.category_token ORDER BY track.token";
     let mut tracks = Vec::new();
     database.rows(&Query { table: "track", columns, from }, |row| {
-        let (token, category) = (row.blob(0)?, row.blob(1)?);
-        if row.is_null(2) {
-            return Err(row.dangling("category", category));
-        }
-        let category = row.text(3)?.to_owned();
-        let class = Class::from_category(&category);
-        tracks.push((token.to_owned(), Track { id: hex(token), category, class }));
+        let (token, category) = (row.blob(0)?.to_owned(), row.reference(1)?.map(<[u8]>::to_owned));
+        let name = if row.is_null(2) { None } else { Some(row.text(3)?) };
+        let track = name.map(|name| {
+            let class = Class::from_category(name);
+            Track { id: hex(&token), category: name.to_owned(), class }
+        });
+        tracks.push(TrackRow { token, category, track });
         Ok(())
     })?;
     Ok(tracks)
@@ -109,11 +131,11 @@ fn cuboid(row: &Row<'_>, database: &Database) -> Result<Option<Cuboid>, DatasetE
 }
 
 /// Removes tracks without a box and renumbers the others in the same order.
-fn without_unseen(all: Vec<(Vec<u8>, Track)>, mut frames: Vec<Vec<TrackBox>>) -> Annotations {
+fn without_unseen(all: Vec<TrackRow>, mut frames: Vec<Vec<TrackBox>>) -> Annotations {
     let seen: FxHashSet<usize> = frames.iter().flatten().map(|b| b.track).collect();
     let (mut tracks, mut places) = (Vec::new(), vec![0; all.len()]);
-    for (i, (_, track)) in all.into_iter().enumerate() {
-        if seen.contains(&i) {
+    for (i, row) in all.into_iter().enumerate() {
+        if let Some(track) = row.track.filter(|_| seen.contains(&i)) {
             places[i] = tracks.len();
             tracks.push(track);
         }

@@ -12,9 +12,9 @@ use std::path::{Path, PathBuf};
 use rusqlite::types::ValueRef;
 use rusqlite::{Connection, OpenFlags};
 
-use crate::dataset::DatasetError;
 use crate::dataset::clock::Unit;
 use crate::dataset::limits::MAX_TIME_US;
+use crate::dataset::{DatasetError, Gap};
 use crate::error::FileError;
 use crate::files::input::open_regular;
 use crate::files::sniff;
@@ -213,10 +213,11 @@ impl<'a> Row<'a> {
         FileError::content(expected, found, self.path).into()
     }
 
-    /// Creates an error about a reference to a missing row of another table.
-    pub(super) fn dangling(&self, table: &str, token: &[u8]) -> DatasetError {
-        let expected = format!("{table} to hold token {}", hex(token));
-        FileError::content(expected, format!("none (referred to by {})", self.name()), self.path).into()
+    /// Creates the gap of this row, which refers to a row of another table that does not exist; `None` for an empty
+    /// reference.
+    pub(super) fn dangling(&self, kind: &'static str, table: &str, token: Option<&[u8]>) -> Gap {
+        let token = token.map_or_else(|| "NULL".to_owned(), hex);
+        Gap::dangling(kind, &self.name(), table, &token, self.path)
     }
 
     pub(super) fn is_null(&self, column: usize) -> bool {
@@ -229,6 +230,11 @@ impl<'a> Row<'a> {
             ValueRef::Blob(bytes) => Ok(bytes),
             other => Err(self.wrong(column, "bytes", &shown(other))),
         }
+    }
+
+    /// Returns a binary key of another table; `None` if empty.
+    pub(super) fn reference(&self, column: usize) -> Result<Option<&'a [u8]>, DatasetError> {
+        if self.is_null(column) { Ok(None) } else { self.blob(column).map(Some) }
     }
 
     /// Returns an integer, or a float that is whole.

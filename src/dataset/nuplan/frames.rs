@@ -7,8 +7,8 @@ use super::database::{Database, Query, Row, hex};
 use super::pickle;
 use super::place::LogPaths;
 use crate::dataset::clock::Unit;
-use crate::dataset::notes::Notes;
-use crate::dataset::{DatasetError, SweepRecord};
+use crate::dataset::notes::{DANGLING_DATA, NO_SWEEP, Notes};
+use crate::dataset::{DatasetError, Gap, SweepRecord};
 use crate::error::FileError;
 use crate::geometry::Pose;
 
@@ -19,14 +19,15 @@ pub(super) struct FrameRecord {
     pub(super) scene: Option<Vec<u8>>,
     pub(super) t_us: i64,
     pub(super) global_from_ego: Pose,
-    pub(super) sweep: SweepRecord,
+    /// `None` if its LiDAR is missing.
+    pub(super) sweep: Option<SweepRecord>,
 }
 
 /// Pose columns of `ego_pose`. They follow the referencing token and the own token in a query.
 pub(super) const POSE_COLUMNS: [&str; 7] =
     ["ego_pose.x", "ego_pose.y", "ego_pose.z", "ego_pose.qw", "ego_pose.qx", "ego_pose.qy", "ego_pose.qz"];
 
-/// Reads all frames of the log or of a scene, in time order. Also returns the first and last time of the whole log.
+/// Reads all frames of the log or of a scene, in time order. Counts those without an ego pose instead. Also returns the first and last time of the whole log.
 ///
 /// # Errors
 /// Fails if times do not increase from frame to frame or along `next_token`, or if there is no frame.
@@ -68,40 +69,61 @@ pub(super) fn read(
             nexts.push((row.blob(2)?.to_owned(), token.to_owned(), t_us));
         }
         if scene.is_none_or(|wanted| !row.is_null(3) && row.blob(3).is_ok_and(|token| token == wanted)) {
-            shots.push(shot(row, database, place, &lidars)?);
+            shots.extend(shot(row, database, place, &lidars, notes)?);
         }
         Ok(())
     })?;
+    if let (true, Some(gap)) = (shots.is_empty(), notes.gaps.first()) {
+        let found = format!("none ({gap})");
+        return Err(FileError::content(
+            "at least one row in lidar_pc with an ego pose",
+            found,
+            database.path(),
+        )
+        .into());
+    }
     check_times(&shots, &nexts, &times, database)?;
     note_pose_times(database, notes)?;
     let ends = times.values().min().zip(times.values().max());
     Ok((shots, ends.map_or([0; 2], |(first, last)| [*first, *last])))
 }
 
+/// Returns the frame of a row; `None` if its ego pose is missing.
 fn shot(
     row: &Row<'_>,
     database: &Database,
     place: &LogPaths,
     lidars: &FxHashMap<Vec<u8>, Pose>,
-) -> Result<FrameRecord, DatasetError> {
-    let (token, t_us, lidar) = (row.blob(0)?.to_owned(), row.time_us(1)?, row.blob(4)?);
-    let ego_from_lidar = *lidars.get(lidar).ok_or_else(|| row.dangling("lidar", lidar))?;
-    let global_from_ego = ego_pose(row, 6, database)?;
+    notes: &mut Notes,
+) -> Result<Option<FrameRecord>, DatasetError> {
+    let (token, t_us, lidar) = (row.blob(0)?.to_owned(), row.time_us(1)?, row.reference(4)?);
+    let Some(global_from_ego) = ego_pose(row, 6, database)? else {
+        notes.gap(row.dangling(DANGLING_DATA, "ego_pose", row.reference(6)?));
+        return Ok(None);
+    };
     let name = row.text(5)?;
     let path = place.sensors.resolve(name).map_err(|error| row.wrong(5, &error.expected, &error.found))?;
-    let sweep = SweepRecord { path, t_us, global_from_ego, ego_from_lidar, is_key: true };
-    let scene = if row.is_null(3) { None } else { Some(row.blob(3)?.to_owned()) };
-    Ok(FrameRecord { token, scene, t_us, global_from_ego, sweep })
+    let ego_from_lidar = lidar.and_then(|lidar| lidars.get(lidar));
+    if ego_from_lidar.is_none() {
+        notes.gap(row.dangling(DANGLING_DATA, "lidar", lidar));
+        notes.gap(Gap::record(NO_SWEEP, format!("frame at {t_us}"), database.path()));
+    }
+    let sweep = ego_from_lidar.map(|ego_from_lidar| SweepRecord {
+        path,
+        t_us,
+        global_from_ego,
+        ego_from_lidar: *ego_from_lidar,
+        is_key: true,
+    });
+    let scene = row.reference(3)?.map(<[u8]>::to_owned);
+    Ok(Some(FrameRecord { token, scene, t_us, global_from_ego, sweep }))
 }
 
-/// Returns the pose of a joined row of `ego_pose`. Column `by` is the referencing token; `ego_pose.token` and
-/// [`POSE_COLUMNS`] follow.
-pub(super) fn ego_pose(row: &Row<'_>, by: usize, database: &Database) -> Result<Pose, DatasetError> {
-    let token = row.blob(by)?;
-    if row.is_null(by + 1) {
-        return Err(row.dangling("ego_pose", token));
-    }
-    pose(row, by + 2, &format!("ego_pose {}", hex(token)), database)
+/// Returns the pose of a joined row of `ego_pose`, if there is one. Column `by` is the referencing token;
+/// `ego_pose.token` and [`POSE_COLUMNS`] follow.
+pub(super) fn ego_pose(row: &Row<'_>, by: usize, database: &Database) -> Result<Option<Pose>, DatasetError> {
+    let token = row.reference(by)?.filter(|_| !row.is_null(by + 1));
+    token.map(|token| pose(row, by + 2, &format!("ego_pose {}", hex(token)), database)).transpose()
 }
 
 /// Reads a pose from translation and quaternion columns; the quaternion `w x y z` comes last.

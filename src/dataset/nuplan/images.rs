@@ -11,7 +11,7 @@ use super::pickle;
 use super::place::LogPaths;
 use crate::dataset::clock::{Offset, Unit};
 use crate::dataset::limits::MAX_CAMERAS;
-use crate::dataset::notes::{NO_IMAGE, Notes, note};
+use crate::dataset::notes::{DANGLING_DATA, NO_IMAGE, Notes, note};
 use crate::dataset::{DatasetError, Gap, ImageDistortion, ImageRecord, RigCamera};
 use crate::error::FileError;
 use crate::files::first_twice;
@@ -26,6 +26,9 @@ const RING: [&str; 8] = ["CAM_F0", "CAM_R0", "CAM_R1", "CAM_R2", "CAM_B0", "CAM_
 
 /// Note for images after the last frame, or more than the tolerance outside the frames' time range.
 const OUTSIDE: &str = "images outside of the frames' time";
+
+/// Note for cameras without distortion coefficients.
+const NO_LENS: &str = "cameras without distortion (NULL), whose images are read as rectified";
 
 /// Cameras, and their images per frame.
 pub(super) struct CameraImages {
@@ -73,12 +76,12 @@ pub(super) fn read(
     notes: &mut Notes,
 ) -> Result<CameraImages, DatasetError> {
     let Within { times_us, is_whole, .. } = *within;
-    let mut cameras = cameras(database)?;
+    let mut cameras = cameras(database, notes)?;
     if distortion == ImageDistortion::Ignore {
         cameras.iter_mut().for_each(|camera| camera.camera.distortion = None);
     }
     let mut frames = vec![FrameImages::default(); times_us.len()];
-    let (mut images, outside) = images(database, place, &cameras, within)?;
+    let (mut images, outside) = images(database, place, &cameras, within, notes)?;
     note(notes, OUTSIDE, if is_whole { outside } else { 0 });
     for (channel, camera) in images.iter_mut().zip(&cameras) {
         for (frame, t_us) in frames.iter_mut().zip(times_us) {
@@ -120,12 +123,13 @@ fn nearest_time<T>(sorted: &[T], t_us: i64, time: impl Fn(&T) -> i64) -> Option<
 }
 
 /// Reads the cameras in ring order; others follow by name.
-fn cameras(database: &Database) -> Result<Vec<RawCamera>, DatasetError> {
+fn cameras(database: &Database, notes: &mut Notes) -> Result<Vec<RawCamera>, DatasetError> {
     let columns =
         &["token", "translation", "rotation", "channel", "intrinsic", "distortion", "width", "height"];
     let mut cameras = Vec::new();
     database.rows(&Query { table: "camera", columns, from: "FROM camera" }, |row| {
         let (token, ego_from_camera) = (row.blob(0)?.to_owned(), extrinsics(row, 1, database)?);
+        note(notes, NO_LENS, usize::from(row.is_null(5)));
         cameras.push(RawCamera { token, ego_from_camera, camera: camera(row, database)? });
         Ok(())
     })?;
@@ -145,10 +149,7 @@ fn cameras(database: &Database) -> Result<Vec<RawCamera>, DatasetError> {
 /// Returns the size, intrinsics and distortion of a row of `camera`.
 fn camera(row: &Row<'_>, database: &Database) -> Result<Camera, DatasetError> {
     let rows = unpickled(row, 4, "a pickled 3x3 matrix", pickle::Value::matrix)?;
-    let distortion: [f64; 5] = unpickled(row, 5, "a pickled list of 5 numbers", pickle::Value::vector)?;
-    if !distortion.iter().all(|v| v.is_finite()) {
-        return Err(row.wrong(5, "finite numbers", &format!("{distortion:?}")));
-    }
+    let distortion = if row.is_null(5) { [0.0; 5] } else { coefficients(row)? };
     let side = |column: usize| {
         let number = row.number(column)?;
         let whole = number.fract() == 0.0 && (0.0..=f64::from(u32::MAX)).contains(&number);
@@ -161,6 +162,16 @@ fn camera(row: &Row<'_>, database: &Database) -> Result<Camera, DatasetError> {
     Ok(Camera { distortion: Distortion::from_opencv(distortion), ..camera })
 }
 
+/// Returns the distortion coefficients of a row of `camera`, `k1 k2 p1 p2` and `k3` or further zeros.
+fn coefficients(row: &Row<'_>) -> Result<[f64; 5], DatasetError> {
+    const EXPECTED: &str = "a pickled list of 4 or 5 numbers";
+    let all = unpickled(row, 5, EXPECTED, |value| value.numbers().filter(|all| all.len() >= 4))?;
+    if !all.iter().all(|v| v.is_finite()) {
+        return Err(row.wrong(5, "finite numbers", &format!("{all:?}")));
+    }
+    Distortion::first_five(&all).ok_or_else(|| row.wrong(5, EXPECTED, &format!("{all:?}")))
+}
+
 /// Reads the images of each camera in time order, if they are within the tolerance of the frames' time range. Also
 /// returns the number of other images.
 fn images(
@@ -168,6 +179,7 @@ fn images(
     place: &LogPaths,
     cameras: &[RawCamera],
     within: &Within<'_>,
+    notes: &mut Notes,
 ) -> Result<(Vec<Vec<RawImage>>, usize), DatasetError> {
     let times_us = within.times_us;
     let channels: FxHashMap<&[u8], usize> =
@@ -193,8 +205,13 @@ fn images(
     let mut outside = 0;
     let mut clocks: Vec<ImageClock> = cameras.iter().map(|_| ImageClock::default()).collect();
     database.rows(&Query { table: "image", columns: &columns, from }, |row| {
-        let (t_us, token) = (row.time_us(1)?, row.blob(2)?);
-        let channel = *channels.get(token).ok_or_else(|| row.dangling("camera", token))?;
+        let (t_us, token) = (row.time_us(1)?, row.reference(2)?);
+        let Some(channel) = token.and_then(|token| channels.get(token)).copied() else {
+            if near(t_us) {
+                notes.gap(row.dangling(DANGLING_DATA, "camera", token));
+            }
+            return Ok(());
+        };
         if images[channel].last().is_some_and(|last| last.record.t_us == t_us) {
             let hint = Unit::MICROS.hint(t_us as f64);
             let found = format!("{t_us} twice, {}{hint}", cameras[channel].camera.name);
@@ -202,8 +219,10 @@ fn images(
         }
         clocks[channel].add(t_us, row.blob(0)?);
         if near(t_us) {
-            let record = record(row, channel, &cameras[channel], place, database)?;
-            images[channel].push(RawImage { record, is_used: false });
+            match record(row, channel, &cameras[channel], place, database)? {
+                Some(record) => images[channel].push(RawImage { record, is_used: false }),
+                None => notes.gap(row.dangling(DANGLING_DATA, "ego_pose", row.reference(4)?)),
+            }
         } else {
             outside += 1;
         }
@@ -247,20 +266,20 @@ impl ImageClock {
     }
 }
 
-/// Returns the record of a row's image.
+/// Returns the record of a row's image; `None` if its ego pose is missing.
 fn record(
     row: &Row<'_>,
     channel: usize,
     camera: &RawCamera,
     place: &LogPaths,
     database: &Database,
-) -> Result<ImageRecord, DatasetError> {
-    let global_from_ego = ego_pose(row, 4, database)?;
+) -> Result<Option<ImageRecord>, DatasetError> {
+    let Some(global_from_ego) = ego_pose(row, 4, database)? else { return Ok(None) };
     let (t_us, name) = (row.time_us(1)?, row.text(3)?);
     let path = place.sensors.resolve(name).map_err(|error| row.wrong(3, &error.expected, &error.found))?;
     let (ego_from_camera, camera) = (camera.ego_from_camera, camera.camera.clone());
     let token = hex(row.blob(0)?);
-    Ok(ImageRecord { token, channel, path, t_us, global_from_ego, ego_from_camera, camera })
+    Ok(Some(ImageRecord { token, channel, path, t_us, global_from_ego, ego_from_camera, camera }))
 }
 
 #[cfg(test)]

@@ -12,7 +12,7 @@ use serde::Deserialize;
 use super::database::{Database, Query, Row};
 use super::geometry::{self, Shape};
 use super::projection::Utm;
-use crate::dataset::degenerate::{Fault, note_fault};
+use crate::dataset::degenerate::{Fault, Unreadable, note_fault, note_missing};
 use crate::dataset::notes::{Counts, count};
 use crate::dataset::{Area, DatasetError, Lane, VectorMap};
 use crate::error::FileError;
@@ -101,7 +101,11 @@ struct Layers {
 
 impl Layers {
     /// Passes every feature of a layer to `each`, in order of ids: the id, the geometry, and further columns as
-    /// identifiers. Counts features with an empty geometry instead. Maps of some versions lack layers, which are counted.
+    /// identifiers. Counts features with an empty geometry, and those that cannot be read, instead. Maps of some versions lack
+    /// layers, which are counted.
+    ///
+    /// # Errors
+    /// Fails if no feature of the layer can be read, or the database is damaged.
     fn features<const N: usize>(
         &self,
         layer: &str,
@@ -110,13 +114,13 @@ impl Layers {
         mut each: impl FnMut(&mut Counts, &Row<'_>, Shape, [Option<i64>; N]) -> Result<(), DatasetError>,
     ) -> Result<(), DatasetError> {
         let Some(geometry) = self.columns.get(layer) else {
-            count(notes, &format!("maps without {layer}"), 1);
+            note_missing(notes, layer);
             return Ok(());
         };
         // The rowid is the feature id, whatever its column name.
         let columns: Vec<&str> = ["rowid", geometry].into_iter().chain(further).collect();
         let from = format!("FROM {layer} ORDER BY rowid");
-        self.database.rows(&Query { table: layer, columns: &columns, from: &from }, |row| {
+        let mut feature = |row: &Row<'_>| {
             let mut faults = Vec::new();
             let shape = match row.is_null(1) {
                 true => None,
@@ -136,7 +140,16 @@ impl Layers {
                 *id = row.identifier(2 + i)?;
             }
             each(notes, row, shape, ids)
-        })
+        };
+        let (mut known, mut unreadable) = (0, Unreadable::default());
+        self.database.rows(&Query { table: layer, columns: &columns, from: &from }, |row| {
+            match feature(row) {
+                Ok(()) => known += 1,
+                Err(error) => unreadable.add(|| error),
+            }
+            Ok(())
+        })?;
+        unreadable.note(layer, known, notes)
     }
 
     fn areas(&self, layer: &str, notes: &mut Counts) -> Result<Vec<Area>, DatasetError> {

@@ -59,7 +59,12 @@ const CLASSES: [&str; 3] = ["Translation", "Rotation", "CameraIntrinsic"];
 impl Value {
     /// Returns the numbers of a list of exactly `N`.
     pub(super) fn vector<const N: usize>(&self) -> Option<[f64; N]> {
-        self.list()?.iter().map(Self::number).collect::<Option<Vec<_>>>()?.try_into().ok()
+        self.numbers()?.try_into().ok()
+    }
+
+    /// Returns the numbers of a list.
+    pub(super) fn numbers(&self) -> Option<Vec<f64>> {
+        self.list()?.iter().map(Self::number).collect()
     }
 
     /// Returns the rows of a list of lists.

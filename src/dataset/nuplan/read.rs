@@ -33,7 +33,7 @@ pub(super) fn read(
     let frame = |(shot, (pictures, boxes)): (frames::FrameRecord, (images::FrameImages, _))| Frame {
         t_us: shot.t_us,
         global_from_ego: shot.global_from_ego,
-        sweeps: vec![shot.sweep],
+        sweeps: shot.sweep.into_iter().collect(),
         images: pictures.images,
         between_images: pictures.between_images,
         boxes,

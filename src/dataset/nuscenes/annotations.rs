@@ -7,7 +7,9 @@ use super::chain::Chain;
 use super::frames::pose;
 use super::tables::{Annotation, Category, Instance, Scene, Table};
 use super::version::Version;
-use crate::dataset::notes::{FLAT_BOX, Notes, UNKNOWN_POINTS, note, note_unknown_category};
+use crate::dataset::notes::{
+    DANGLING_BOX, FLAT_BOX, NO_ANNOTATIONS, Notes, UNKNOWN_POINTS, note, note_unknown_category,
+};
 use crate::dataset::{CategoryKind, Class, DatasetError, Gap, Track, TrackBox};
 use crate::error::FileError;
 use crate::geometry::Cuboid;
@@ -34,17 +36,29 @@ pub(super) fn read(
     instances.retain(|i| needed.contains(i.token.as_str()));
     instances.sort_by_token();
     let categories = Table::<Category>::load(&version.folder)?;
+    if annotations.records.is_empty() {
+        notes.gap(Gap::record(NO_ANNOTATIONS, "frames are without actors", &annotations.path));
+    }
+    // Boxes without an instance or a category are skipped.
+    annotations.retain(|annotation| match missing(annotation, &instances, &categories) {
+        Some(gap) => {
+            notes.gap(gap);
+            false
+        }
+        None => true,
+    });
+    instances.retain(|instance| categories.find(&instance.category_token).is_some());
     let mut tracks = Vec::new();
     for instance in &instances.records {
-        let by = || format!("instance {}", instance.token);
-        let category = categories.get(&instance.category_token, by)?.name.clone();
+        let Some(category) = categories.find(&instance.category_token) else { continue };
+        let category = category.name.clone();
         let class = Class::from_category(&category);
         tracks.push(Track { id: instance.token.clone(), category, class });
     }
     let mut frames = vec![Vec::new(); chain.times_us.len()];
     for annotation in &annotations.records {
         let by = || format!("sample_annotation {}", annotation.token);
-        let track = instances.position(&annotation.instance_token, by)?;
+        let Some(track) = instances.position(&annotation.instance_token) else { continue };
         let Some(cuboid) = cuboid(&annotations, annotation)? else {
             notes.gap(Gap::record(FLAT_BOX, by(), &annotations.path));
             continue;
@@ -66,6 +80,27 @@ pub(super) fn read(
         }
     }
     Ok(Annotations { tracks, frames: frames.into_iter().map(|f| f.into_iter().unzip()).collect() })
+}
+
+/// Returns the gap of a box whose instance or category is missing.
+fn missing(
+    annotation: &Annotation,
+    instances: &Table<Instance>,
+    categories: &Table<Category>,
+) -> Option<Gap> {
+    let by = format!("sample_annotation {}", annotation.token);
+    let Some(instance) = instances.find(&annotation.instance_token) else {
+        return Some(Gap::dangling(
+            DANGLING_BOX,
+            &by,
+            "instance",
+            &annotation.instance_token,
+            &instances.path,
+        ));
+    };
+    let category = &instance.category_token;
+    let gap = || Gap::dangling(DANGLING_BOX, &by, "category", category, &categories.path);
+    categories.find(category).is_none().then(gap)
 }
 
 /// Converts an annotation; the tables store width, length, height. `None` if a side is zero or negative.

@@ -8,9 +8,9 @@ use std::path::Path;
 use rustc_hash::{FxHashMap, FxHashSet};
 
 use super::chain::Chain;
-use super::lens::lens;
-use super::sensors::{IGNORED_LENSES, Sensors};
-use super::tables::{CalibratedSensor, SampleData, Scene, Sensor, Table};
+use super::lens::{self, lens};
+use super::sensors::{Origin, SensorKind, Sensors, compare_pose};
+use super::tables::{SampleData, Scene, Table};
 use super::version::Version;
 use crate::dataset::clock::{KeyTimes, PoseTimes, Unit};
 use crate::dataset::limits::MAX_CAMERAS;
@@ -76,7 +76,9 @@ pub(super) fn read(
     let mut data = rows.data(scene)?;
     data.retain(|d| chain.place.contains_key(&d.sample_token));
     let all = data.records.len();
-    data.retain(|d| !d.is_marked_invalid());
+    let unclear = data.records.iter().filter(|d| d.is_marked_valid().is_none()).count();
+    note(notes, "sweeps and images whose is_valid is neither true nor false (used)", unclear);
+    data.retain(|d| d.is_marked_valid() != Some(false));
     note(
         notes,
         "sweeps and images that are marked as invalid (is_valid; not used)",
@@ -89,35 +91,43 @@ pub(super) fn read(
     let cameras = sensors.cameras()?;
     let mut piles: Vec<UnsortedFrame> = chain.times_us.iter().map(|_| UnsortedFrame::default()).collect();
     let (mut key_times, mut pose_times) = (KeyTimes::default(), PoseTimes::default());
-    let mut ignored_lenses = FxHashSet::default();
+    let mut lenses = FxHashSet::default();
     for data in &sensors.data.records {
-        sensors.check_clock(data, chain, &mut key_times)?;
-        sensors.compare_pose(data, &mut pose_times);
-        if sensors.ignores_lens(data)? {
-            ignored_lenses.insert(data.calibrated_sensor_token.as_str());
+        let origin = match sensors.origin(data) {
+            Ok(origin) => origin,
+            Err(gap) => {
+                notes.gap(gap);
+                continue;
+            }
+        };
+        let Origin { sensor, calibrated, ego } = origin;
+        sensors.check_clock(data, sensor, chain, &mut key_times)?;
+        compare_pose(data, sensor, ego, &mut pose_times);
+        if sensor.kind() == SensorKind::Camera && lenses.insert(calibrated.token.as_str()) {
+            lens::unread(calibrated, sensor, distortion).iter().for_each(|text| note(notes, text, 1));
         }
-        if !data.is_key_frame && chain.is_long_before(data.timestamp.0) {
+        if !data.is_key_frame.0 && chain.is_long_before(data.timestamp.0) {
             note(notes, "sweeps and images long before the first sample (not used)", 1);
             continue;
         }
         let place = match chain.place.get(&data.sample_token) {
-            Some(place) if data.is_key_frame => *place,
+            Some(place) if data.is_key_frame.0 => *place,
             _ => chain.times_us.partition_point(|t| *t < data.timestamp.0),
         };
         match piles.get_mut(place) {
-            Some(pile) => sensors.add(pile, data, root, &cameras, notes)?,
+            Some(pile) => sensors.add(pile, data, origin, root, &cameras, notes)?,
             None => note(notes, "sweeps and images after the last sample", 1),
         }
     }
     key_times.note(notes);
     pose_times.note(notes);
-    note(notes, IGNORED_LENSES, ignored_lenses.len());
     let path = &sensors.data.path;
     check_growth(&piles, path)?;
+    let dangling = notes.gaps.first().cloned();
     let finish = |(pile, t_us): (UnsortedFrame, &i64)| pile.finish(&cameras, *t_us, path, notes);
     let frames: Vec<Option<FrameRecord>> = piles.into_iter().zip(&chain.times_us).map(finish).collect();
     if frames.iter().all(Option::is_none) {
-        return Err(FileError::content("key frames of the samples of the scene", "none", path).into());
+        return Err(sensors.no_key_frames(dangling.as_ref()).into());
     }
     Ok(SceneFrames { frames, cameras })
 }
@@ -131,8 +141,8 @@ impl Sensors {
     fn cameras(&self) -> Result<Vec<FileName>, DatasetError> {
         let mut channels: Vec<FileName> = Vec::new();
         for data in &self.data.records {
-            let (sensor, _) = self.sensor_of(data)?;
-            if sensor.modality == "camera" && !channels.iter().any(|known| *known == sensor.channel) {
+            let Ok((sensor, _)) = self.sensor_of(data) else { continue };
+            if sensor.kind() == SensorKind::Camera && !channels.iter().any(|known| *known == sensor.channel) {
                 let channel = FileName::new(&sensor.channel);
                 channels.push(channel.map_err(|error| error.in_file(&self.sensors.path))?);
             }
@@ -155,12 +165,12 @@ impl Sensors {
         &self,
         pile: &mut UnsortedFrame,
         data: &SampleData,
+        origin: Origin<'_>,
         root: &DataRoot,
         cameras: &[FileName],
         notes: &mut Notes,
     ) -> Result<(), DatasetError> {
-        let (sensor, calibrated) = self.sensor_of(data)?;
-        let ego = self.poses.get(&data.ego_pose_token, || format!("sample_data {}", data.token))?;
+        let Origin { sensor, calibrated, ego } = origin;
         let global_from_ego = pose(&self.poses, ego, ego.rotation, ego.translation)?;
         let ego_from_sensor =
             pose(&self.calibrated, calibrated, calibrated.rotation, calibrated.translation)?;
@@ -177,14 +187,14 @@ impl Sensors {
                 &self.data.path,
             ))
         };
-        match (sensor.modality.as_str(), cameras.iter().position(|c| *c == sensor.channel)) {
-            ("camera", Some(channel)) => {
-                let camera = self.camera(data, sensor, calibrated)?;
+        match (sensor.kind(), cameras.iter().position(|c| *c == sensor.channel)) {
+            (SensorKind::Camera, Some(channel)) => {
+                let camera = self.camera(data, origin)?;
                 let ego_from_camera = ego_from_sensor;
                 let token = data.token.clone();
                 let record =
                     ImageRecord { token, channel, path, t_us, global_from_ego, ego_from_camera, camera };
-                if !data.is_key_frame {
+                if !data.is_key_frame.0 {
                     pile.between_images.push(record);
                 } else if pile.images.iter().any(|i| i.channel == channel) {
                     return Err(twice(&sensor.channel));
@@ -192,8 +202,8 @@ impl Sensors {
                     pile.images.push(record);
                 }
             }
-            ("lidar", _) => {
-                let (channel, is_key) = (sensor.channel.clone(), data.is_key_frame);
+            (SensorKind::Lidar, _) => {
+                let (channel, is_key) = (sensor.channel.clone(), data.is_key_frame.0);
                 if is_key && pile.sweeps.iter().any(|s| s.is_key && s.channel == channel) {
                     return Err(twice(&channel));
                 }
@@ -202,18 +212,14 @@ impl Sensors {
                 let token = data.token.clone();
                 pile.sweeps.push(RawSweep { channel, is_key, token, record });
             }
-            (modality, _) => note(notes, &format!("{modality} sweeps (not read)"), 1),
+            _ => note(notes, &format!("{} sweeps (not read)", sensor.modality), 1),
         }
         Ok(())
     }
 
     /// Returns the camera of an image: size and intrinsics.
-    fn camera(
-        &self,
-        data: &SampleData,
-        sensor: &Sensor,
-        calibrated: &CalibratedSensor,
-    ) -> Result<Camera, DatasetError> {
+    fn camera(&self, data: &SampleData, origin: Origin<'_>) -> Result<Camera, DatasetError> {
+        let Origin { sensor, calibrated, .. } = origin;
         let record = format!("calibrated_sensor {} ({})", calibrated.token, sensor.channel);
         let path = self.calibrated.path.clone();
         let rows: Option<Vec<[f64; 3]>> =
@@ -226,7 +232,7 @@ impl Sensors {
             let found = format!("{} and {} in sample_data {}", data.width, data.height, data.token);
             return Err(FileError::content("width and height of an image", found, &self.data.path).into());
         };
-        let lens = lens(calibrated, self.distortion, &record, &path)?;
+        let lens = lens(calibrated, sensor, self.distortion, &record, &path)?;
         let camera = Camera::new(&sensor.channel, width, height, rows);
         let camera = camera.map_err(|source| DatasetError::Camera { source, record, path })?;
         Ok(Camera { distortion: lens.distortion, ..camera })

@@ -1,25 +1,51 @@
-//! `camera_distortion` of calibrated sensors.
+//! Lens distortion in the records of cameras: `camera_distortion` of the calibrated sensor, or another usual name.
 //!
 //! Some data sets in this layout store images as the lens recorded them, others rectify them and leave the
 //! coefficients of the lens. nuScenes itself has none. The tables do not say which, so an option does.
 
 use std::path::Path;
 
-use serde_json::Value;
+use serde_json::{Map, Value};
 
-use super::tables::CalibratedSensor;
+use super::tables::{CalibratedSensor, Sensor};
 use crate::dataset::ImageDistortion;
 use crate::error::FileError;
+use crate::files::text::printable;
 use crate::geometry::Distortion;
 
 /// Lens of a camera's images.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct Lens {
     /// Distortion of the images.
     pub(super) distortion: Option<Distortion>,
-    /// Whether there are coefficients that are ignored although nobody asked for it.
-    pub(super) is_ignored: bool,
+    /// Field with coefficients that are ignored although nobody asked for it.
+    pub(super) ignored: Option<String>,
 }
+
+/// Coefficients that are not all zero, and the field in which they are.
+#[derive(Clone, Debug, PartialEq)]
+struct Given<'a> {
+    key: &'a str,
+    value: Value,
+}
+
+/// Names of the field, as [`plain`] returns them.
+const NAMES: [&str; 8] = [
+    "distortion",
+    "distortions",
+    "distortioncoefficients",
+    "distortioncoeffs",
+    "distcoefficients",
+    "distcoeffs",
+    "dist",
+    "d",
+];
+
+/// Name of the field with the model of the lens.
+const MODEL: &str = "distortionmodel";
+
+/// Names of fields with single coefficients, in OpenCV's order.
+const SINGLE: [&str; 8] = ["k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"];
 
 /// Words in names of models other than that of OpenCV's `projectPoints`.
 const OTHER_MODELS: [&str; 6] = ["fish", "equi", "kannala", "omni", "mei", "ftheta"];
@@ -27,51 +53,102 @@ const OTHER_MODELS: [&str; 6] = ["fish", "equi", "kannala", "omni", "mei", "fthe
 /// Returns the lens of a calibrated camera; `record` and `path` are for messages.
 ///
 /// # Errors
-/// Fails if the coefficients apply and are not those of OpenCV: `k1 k2 p1 p2`, and `k3` or further zeros.
+/// Fails if the coefficients apply and are not those of OpenCV: `k1 k2 p1 p2`, and `k3` or further zeros. Fails if two
+/// fields apply that contradict each other.
 pub(super) fn lens(
     calibrated: &CalibratedSensor,
+    sensor: &Sensor,
     option: ImageDistortion,
     record: &str,
     path: &Path,
 ) -> Result<Lens, FileError> {
-    let given = calibrated.camera_distortion.as_ref().unwrap_or(&Value::Null);
-    let coefficients = numbers(given);
-    let has_none = coefficients.as_ref().is_some_and(|all| all.iter().all(|v| *v == 0.0));
-    if has_none || option == ImageDistortion::Ignore {
+    let mut all = [given(&calibrated.others), given(&sensor.others)].concat();
+    all.dedup_by(|b, a| a.value == b.value);
+    let Some(Given { key, value }) = all.first().filter(|_| option != ImageDistortion::Ignore) else {
         return Ok(Lens::default());
-    }
+    };
     if option == ImageDistortion::Usual {
-        return Ok(Lens { distortion: None, is_ignored: true });
+        return Ok(Lens { distortion: None, ignored: Some((*key).to_owned()) });
     }
-    let model = calibrated.camera_distortion_model.as_ref().and_then(Value::as_str).unwrap_or_default();
+    if let Some(other) = all.get(1) {
+        let found = format!("{key} {value} and {} {} in {record}", other.key, other.value);
+        return Err(FileError::content("one list of distortion coefficients per camera", found, path));
+    }
+    let model = calibrated.others.iter().find(|(key, _)| plain(key) == MODEL);
+    let model = model.and_then(|(_, name)| name.as_str()).unwrap_or_default();
     let is_other = OTHER_MODELS.iter().any(|word| model.to_lowercase().contains(word));
-    let five = coefficients.as_deref().and_then(five).filter(|_| !is_other).ok_or_else(|| {
-        let expected = "OpenCV's k1 k2 p1 p2 k3 as camera_distortion (--image-distortion ignore reads images as rectified)";
+    let coefficients = numbers(value).as_deref().and_then(Distortion::first_five).filter(|_| !is_other);
+    let five = coefficients.ok_or_else(|| {
+        let expected =
+            format!("OpenCV's k1 k2 p1 p2 k3 as {key} (--image-distortion ignore reads images as rectified)");
         let model = if is_other { format!(" of model {model:?}") } else { String::new() };
-        FileError::content(expected, format!("{given}{model} in {record}"), path)
+        FileError::content(expected, format!("{value}{model} in {record}"), path)
     })?;
-    Ok(Lens { distortion: Distortion::from_opencv(five), is_ignored: false })
+    Ok(Lens { distortion: Distortion::from_opencv(five), ignored: None })
+}
+
+/// Returns what to say about the lens of a calibrated camera whose images are read: coefficients that are ignored, and
+/// fields that may hold some under a name that is not known.
+pub(super) fn unread(calibrated: &CalibratedSensor, sensor: &Sensor, option: ImageDistortion) -> Vec<String> {
+    // Coefficients that cannot be used are reported with their camera.
+    let lens = lens(calibrated, sensor, option, "", Path::new("")).unwrap_or_default();
+    let ignored = lens.ignored.map(|key| {
+        let key = printable(&key);
+        format!(
+            "cameras with {key}, whose images are read as rectified (--image-distortion apply if they are not)"
+        )
+    });
+    let is_unknown = |(key, value): &(&String, &Value)| {
+        let name = plain(key);
+        let is_lens = name.contains("dist") && !name.contains("distance") && name != MODEL;
+        is_lens && !NAMES.contains(&name.as_str()) && !is_nothing(value)
+    };
+    let fields = calibrated.others.iter().chain(&sensor.others).filter(is_unknown);
+    let fields = fields
+        .map(|(key, _)| format!("cameras with {}, which is not read (lens distortion?)", printable(key)));
+    ignored.into_iter().chain(fields).collect()
+}
+
+/// Returns the coefficients of a record under any of their names, unless they are zero.
+fn given(record: &Map<String, Value>) -> Vec<Given<'_>> {
+    let named = record.iter().filter(|(key, _)| NAMES.contains(&plain(key).as_str()));
+    let named = named.map(|(key, value)| {
+        let inner = value.as_object().and_then(single);
+        Given { key, value: inner.map_or_else(|| value.clone(), |inner| inner.value) }
+    });
+    named.chain(single(record)).filter(|given| !is_nothing(&given.value)).collect()
+}
+
+/// Collects single coefficients in OpenCV's order; `None` if there are none.
+fn single(record: &Map<String, Value>) -> Option<Given<'_>> {
+    let field = |name: &str| record.iter().find(|(key, _)| plain(key) == name);
+    let key = SINGLE.iter().find_map(|name| field(name))?.0;
+    let value = SINGLE.map(|name| field(name).map_or(Value::from(0), |(_, value)| value.clone()));
+    Some(Given { key, value: Value::from(value.to_vec()) })
+}
+
+/// Returns the name of a field without `camera`, in lower case and without other signs than letters and digits.
+fn plain(key: &str) -> String {
+    let name: String = key.chars().filter(char::is_ascii_alphanumeric).collect();
+    let name = name.to_ascii_lowercase();
+    name.strip_prefix("camera").map_or(name.clone(), str::to_owned)
+}
+
+/// Returns whether a value is empty, or all of its numbers are zero.
+fn is_nothing(value: &Value) -> bool {
+    match value {
+        Value::Null | Value::Bool(false) => true,
+        Value::String(text) => text.trim().is_empty(),
+        Value::Object(fields) => fields.values().all(is_nothing),
+        Value::Number(number) => number.as_f64() == Some(0.0),
+        _ => numbers(value).is_some_and(|all| all.iter().all(|v| *v == 0.0)),
+    }
 }
 
 /// Returns a list of numbers, where null is NaN; `None` for other values.
 fn numbers(value: &Value) -> Option<Vec<f64>> {
-    match value {
-        Value::Null => Some(Vec::new()),
-        Value::Array(all) => {
-            let number = |v: &Value| if v.is_null() { Some(f64::NAN) } else { v.as_f64() };
-            all.iter().map(number).collect()
-        }
-        _ => None,
-    }
-}
-
-/// Returns the first five of four or more coefficients if they are finite and the rest is zero.
-fn five(all: &[f64]) -> Option<[f64; 5]> {
-    let mut five = [0.0; 5];
-    let used = all.len().min(5);
-    five[..used].copy_from_slice(&all[..used]);
-    let fits = used >= 4 && five.iter().all(|v| v.is_finite()) && all[used..].iter().all(|v| *v == 0.0);
-    fits.then_some(five)
+    let number = |v: &Value| if v.is_null() { Some(f64::NAN) } else { v.as_f64() };
+    value.as_array()?.iter().map(number).collect()
 }
 
 #[cfg(test)]
@@ -83,14 +160,89 @@ mod tests {
         let record = json!({"token": "c", "sensor_token": "s", "translation": [0, 0, 0], "rotation": [1, 0, 0, 0],
             "camera_intrinsic": [], "camera_distortion": value, "camera_distortion_model": model});
         let calibrated = serde_json::from_value(record).unwrap();
-        lens(&calibrated, option, "calibrated_sensor c", Path::new("a.json")).map_err(|e| e.to_string())
+        read_with(&calibrated, &json!({}), option)
+    }
+
+    fn read_with(
+        calibrated: &CalibratedSensor,
+        sensor: &Value,
+        option: ImageDistortion,
+    ) -> Result<Lens, String> {
+        let mut record = json!({"token": "s", "channel": "CAM_FRONT", "modality": "camera"});
+        record.as_object_mut().unwrap().extend(sensor.as_object().unwrap().clone());
+        let sensor = serde_json::from_value(record).unwrap();
+        let read = lens(calibrated, &sensor, option, "calibrated_sensor c", Path::new("a.json"));
+        read.map_err(|e| e.to_string())
+    }
+
+    /// Returns a calibrated sensor with further fields.
+    fn calibrated(fields: &Value) -> CalibratedSensor {
+        let mut record =
+            json!({"token": "c", "sensor_token": "s", "translation": [0, 0, 0], "rotation": [1, 0, 0, 0]});
+        record.as_object_mut().unwrap().extend(fields.as_object().unwrap().clone());
+        serde_json::from_value(record).unwrap()
+    }
+
+    #[test]
+    fn coefficients_have_many_names() {
+        let five = json!([-0.35, 0.14, 0.0, 0.0, -0.03]);
+        let applied = |fields: Value, sensor: Value| {
+            let lens = read_with(&calibrated(&fields), &sensor, ImageDistortion::Apply)?;
+            Ok::<_, String>(lens.distortion.unwrap().coefficients())
+        };
+        let expected = Ok([-0.35, 0.14, 0.0, 0.0, -0.03]);
+        for key in [
+            "distortion",
+            "D",
+            "camera_distortion_coefficients",
+            "distortion_coefficients",
+            "dist_coeffs",
+            "camera_dist",
+            "distCoeffs",
+            "camera_distortions",
+        ] {
+            assert_eq!(applied(json!({ key: five }), json!({})), expected, "{key}");
+            assert_eq!(applied(json!({}), json!({ key: five })), expected, "{key}");
+            let usual = read_with(&calibrated(&json!({ key: five })), &json!({}), ImageDistortion::Usual);
+            assert_eq!(usual.unwrap().ignored.as_deref(), Some(key));
+        }
+        let single = json!({"k1": -0.35, "k2": 0.14, "k3": -0.03});
+        assert_eq!(applied(single.clone(), json!({})), expected);
+        assert_eq!(applied(json!({"camera_distortion": single}), json!({})), expected);
+        // The same twice, zeros beside it, and contradictions.
+        assert_eq!(applied(json!({"D": five, "distortion": five}), json!({"D": five})), expected);
+        assert_eq!(applied(json!({"camera_distortion": [0, 0, 0, 0, 0], "D": five}), json!({})), expected);
+        let message = applied(json!({"D": [0.1, 0, 0, 0]}), json!({"distortion": five})).unwrap_err();
+        assert!(message.contains("one list of distortion coefficients per camera"), "{message}");
+        let fisheye = applied(json!({"k1": 0.1, "k2": 0.02, "k3": 0.01, "k4": 0.001}), json!({}));
+        assert!(fisheye.unwrap_err().contains("k1 k2 p1 p2 k3 as k1"));
+    }
+
+    #[test]
+    fn fields_of_unknown_names_are_told() {
+        let told = |fields: Value| {
+            let sensor = serde_json::from_value(json!({"token": "s", "channel": "C", "modality": "camera"}));
+            unread(&calibrated(&fields), &sensor.unwrap(), ImageDistortion::Usual)
+        };
+        let one = told(json!({"undistortion_map": "a.bin"}));
+        assert_eq!(one, ["cameras with undistortion_map, which is not read (lens distortion?)"]);
+        for fields in [
+            json!({}),
+            json!({"distance_m": 4, "camera_distortion_model": "plumb_bob"}),
+            json!({"distorted": false, "dist_x": [], "k1": 0, "D": null}),
+        ] {
+            assert_eq!(told(fields.clone()), [""; 0], "{fields}");
+        }
     }
 
     #[test]
     fn coefficients_are_applied_or_said_to_be_ignored() {
         let given = json!([-0.35, 0.14, 0.001, -0.002, -0.03]);
         let read = |option| read(given.clone(), Value::Null, option).unwrap();
-        assert_eq!(read(ImageDistortion::Usual), Lens { distortion: None, is_ignored: true });
+        assert_eq!(
+            read(ImageDistortion::Usual),
+            Lens { distortion: None, ignored: Some("camera_distortion".to_owned()) }
+        );
         assert_eq!(read(ImageDistortion::Ignore), Lens::default());
         let applied = read(ImageDistortion::Apply).distortion.unwrap();
         assert_eq!(applied.coefficients(), [-0.35, 0.14, 0.001, -0.002, -0.03]);
@@ -136,7 +288,7 @@ mod tests {
         for model in ["fisheye", "equidistant", "KannalaBrandt"] {
             let message = read(given.clone(), json!(model), ImageDistortion::Apply).unwrap_err();
             assert!(message.contains(&format!("of model {model:?}")), "{message}");
-            assert!(read(given.clone(), json!(model), ImageDistortion::Usual).unwrap().is_ignored);
+            assert!(read(given.clone(), json!(model), ImageDistortion::Usual).unwrap().ignored.is_some());
         }
     }
 }

@@ -4,17 +4,15 @@
 //! centerlines) are supported too.
 
 use std::cell::{Cell, RefCell};
-use std::collections::BTreeMap;
-use std::marker::PhantomData;
+use std::collections::hash_map::Entry;
 use std::path::{Path, PathBuf};
 
 use glam::DVec2;
-use rustc_hash::FxHashMap;
-use serde::de::{Deserialize, Deserializer, MapAccess, SeqAccess, Visitor};
+use rustc_hash::{FxHashMap, FxHashSet};
 
-use super::arcline::{ArclinePath, centerline};
+use super::arcline::centerline;
+use super::layers::{Divider, Expansion, Layers, Line, Polygon, Surface};
 use crate::dataset::degenerate::{self, Fault, note_fault};
-use crate::dataset::lenient::{Coordinate, or_default};
 use crate::dataset::notes::{Counts, count};
 use crate::dataset::{Area, DatasetError, Lane, VectorMap};
 use crate::error::FileError;
@@ -48,99 +46,30 @@ pub(super) fn find(
     }
 }
 
-/// Reads the map of a location. Records without an area or a length, and those that refer to missing ones, are skipped
-/// and counted.
+/// Reads the map of a location. Records without an area or a length, those that refer to missing ones or cannot be
+/// read, and missing layers are counted.
 ///
 /// # Errors
-/// Fails if the file cannot be read or is not a map expansion, or if tokens are duplicate.
+/// Fails if the file cannot be read or is not a map expansion, which has nodes, polygons and lanes, or if no record of a
+/// layer can be read.
 pub fn read_map_file(path: &Path, location: &str) -> Result<VectorMap, DatasetError> {
+    const EXPECTED: &str = "a map expansion";
     let bytes = read_table(path)?;
-    let raw: Expansion = json::parse(&bytes, "a map expansion", path)?;
-    Ok(Resolver::new(&raw, bytes.len(), path)?.map(location)?)
-}
-
-/// Layers that are read, as stored in the file.
-#[derive(serde::Deserialize)]
-struct Expansion {
-    node: Vec<Node>,
-    polygon: Vec<Polygon>,
-    line: Vec<Line>,
-    lane: Vec<Surface>,
-    #[serde(default)]
-    lane_connector: Vec<Surface>,
-    drivable_area: Vec<DrivableArea>,
-    ped_crossing: Vec<Surface>,
-    stop_line: Vec<Surface>,
-    road_divider: Vec<Divider>,
-    lane_divider: Vec<Divider>,
-    #[serde(default, deserialize_with = "by_lane")]
-    arcline_path_3: BTreeMap<String, Vec<ArclinePath>>,
-    #[serde(default, deserialize_with = "by_lane")]
-    connectivity: BTreeMap<String, Connectivity>,
-}
-
-#[derive(serde::Deserialize)]
-struct Node {
-    token: String,
-    #[serde(default)]
-    x: Coordinate,
-    #[serde(default)]
-    y: Coordinate,
-}
-
-#[derive(serde::Deserialize)]
-struct Polygon {
-    token: String,
-    #[serde(default, deserialize_with = "or_default")]
-    exterior_node_tokens: Vec<Option<String>>,
-    #[serde(default, deserialize_with = "or_default")]
-    holes: Vec<Hole>,
-}
-
-#[derive(serde::Deserialize)]
-struct Hole {
-    #[serde(default, deserialize_with = "or_default")]
-    node_tokens: Vec<Option<String>>,
-}
-
-#[derive(serde::Deserialize)]
-struct Line {
-    token: String,
-    #[serde(default, deserialize_with = "or_default")]
-    node_tokens: Vec<Option<String>>,
-}
-
-/// Record with one polygon: lane, connector, crossing or stop line.
-#[derive(serde::Deserialize)]
-struct Surface {
-    token: String,
-    polygon_token: Option<String>,
-}
-
-#[derive(serde::Deserialize)]
-struct DrivableArea {
-    #[serde(default, deserialize_with = "or_default")]
-    polygon_tokens: Vec<Option<String>>,
-}
-
-#[derive(serde::Deserialize)]
-struct Divider {
-    line_token: Option<String>,
-}
-
-#[derive(serde::Deserialize)]
-struct Connectivity {
-    #[serde(default, deserialize_with = "or_default")]
-    outgoing: Vec<String>,
+    let mut notes = Counts::new();
+    let layers = json::parse::<Expansion>(&bytes, EXPECTED, path)?.layers(&mut notes);
+    let layers = layers.map_err(|found| FileError::content(EXPECTED, found, path))?;
+    Ok(Resolver::new(&layers, bytes.len(), path, notes).map(location)?)
 }
 
 /// Map layers with token lookups.
 struct Resolver<'a> {
-    raw: &'a Expansion,
+    raw: &'a Layers,
     path: &'a Path,
     nodes: FxHashMap<&'a str, DVec2>,
     polygons: FxHashMap<&'a str, &'a Polygon>,
     lines: FxHashMap<&'a str, &'a Line>,
+    /// Tokens of the lanes and connectors read so far.
+    lanes: RefCell<FxHashSet<&'a str>>,
     /// Remaining budget for the total length of centerlines, meters.
     centerline_left_m: Cell<f64>,
     /// Remaining budget for corners of referenced polygons and lines.
@@ -171,32 +100,21 @@ const LANES_M: f64 = 1e4;
 /// Maximum number of records per polygon or line, on average; in nuScenes' maps each record has its own.
 const MOST_SHARED: usize = 8;
 
-impl Expansion {
-    /// Returns the number of corners of all polygons and lines.
-    fn corners(&self) -> usize {
-        let hole = |hole: &Hole| hole.node_tokens.len();
-        let polygon = |p: &Polygon| p.exterior_node_tokens.len() + p.holes.iter().map(hole).sum::<usize>();
-        let lines = self.line.iter().map(|line| line.node_tokens.len());
-        self.polygon.iter().map(polygon).chain(lines).sum()
-    }
-}
-
 impl<'a> Resolver<'a> {
     /// Builds the lookups for a file of `bytes` bytes.
-    fn new(raw: &'a Expansion, bytes: usize, path: &'a Path) -> Result<Self, FileError> {
+    fn new(raw: &'a Layers, bytes: usize, path: &'a Path, mut notes: Counts) -> Self {
         let nodes = raw.node.iter().map(|n| (n.token.as_str(), DVec2::new(n.x.0, n.y.0)));
-        let surfaces = raw.lane.iter().chain(&raw.lane_connector);
-        by_token("lane", surfaces.map(|s| (s.token.as_str(), ())), path)?;
-        Ok(Self {
+        Self {
             raw,
             path,
-            nodes: by_token("node", nodes, path)?,
-            polygons: by_token("polygon", raw.polygon.iter().map(|p| (p.token.as_str(), p)), path)?,
-            lines: by_token("line", raw.line.iter().map(|l| (l.token.as_str(), l)), path)?,
+            nodes: by_token("node", nodes, &mut notes),
+            polygons: by_token("polygon", raw.polygon.iter().map(|p| (p.token.as_str(), p)), &mut notes),
+            lines: by_token("line", raw.line.iter().map(|l| (l.token.as_str(), l)), &mut notes),
+            lanes: RefCell::default(),
             centerline_left_m: Cell::new(LANES_M + METRES_PER_BYTE * bytes as f64),
             corners_left: Cell::new(raw.corners() * MOST_SHARED),
-            notes: RefCell::default(),
-        })
+            notes: RefCell::new(notes),
+        }
     }
 
     fn map(self, location: &str) -> Result<VectorMap, FileError> {
@@ -242,7 +160,10 @@ impl<'a> Resolver<'a> {
         Ok(all)
     }
 
-    fn lane(&self, surface: &Surface) -> Result<Lane, Refusal> {
+    fn lane(&self, surface: &'a Surface) -> Result<Lane, Refusal> {
+        if !self.lanes.borrow_mut().insert(&surface.token) {
+            return Err(Fault::Twice.into());
+        }
         let paths = self.raw.arcline_path_3.get(&surface.token).map_or(&[][..], Vec::as_slice);
         let mut left_m = self.centerline_left_m.get();
         let middle = centerline(paths, &mut left_m);
@@ -294,48 +215,18 @@ impl<'a> Resolver<'a> {
     }
 }
 
-/// Indexes records by token. Fails if a token occurs twice.
+/// Indexes records by token. Counts further records of a token.
 fn by_token<'a, T>(
     layer: &str,
     records: impl Iterator<Item = (&'a str, T)>,
-    path: &Path,
-) -> Result<FxHashMap<&'a str, T>, FileError> {
+    notes: &mut Counts,
+) -> FxHashMap<&'a str, T> {
     let mut found = FxHashMap::default();
     for (token, record) in records {
-        if found.insert(token, record).is_some() {
-            let twice = format!("{layer} {token} twice");
-            return Err(FileError::content("every token once", twice, path));
+        match found.entry(token) {
+            Entry::Vacant(place) => _ = place.insert(record),
+            Entry::Occupied(_) => note_fault(notes, &format!("records of {layer}"), Fault::Twice),
         }
     }
-    Ok(found)
-}
-
-/// Deserializes an object keyed by lane. Maps without entries contain an empty array instead.
-fn by_lane<'de, T: Deserialize<'de>, D: Deserializer<'de>>(from: D) -> Result<BTreeMap<String, T>, D::Error> {
-    from.deserialize_any(ByLane(PhantomData))
-}
-
-struct ByLane<T>(PhantomData<T>);
-
-impl<'de, T: Deserialize<'de>> Visitor<'de> for ByLane<T> {
-    type Value = BTreeMap<String, T>;
-
-    fn expecting(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.write_str("an object by lane, or an empty array")
-    }
-
-    fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<Self::Value, A::Error> {
-        let mut found = BTreeMap::new();
-        while let Some((lane, value)) = map.next_entry()? {
-            found.insert(lane, value);
-        }
-        Ok(found)
-    }
-
-    fn visit_seq<A: SeqAccess<'de>>(self, mut array: A) -> Result<Self::Value, A::Error> {
-        match array.next_element::<serde::de::IgnoredAny>()? {
-            None => Ok(BTreeMap::new()),
-            Some(_) => Err(serde::de::Error::invalid_type(serde::de::Unexpected::Seq, &self)),
-        }
-    }
+    found
 }

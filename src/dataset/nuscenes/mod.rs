@@ -1,4 +1,4 @@
-//! nuScenes: 13 JSON tables linked by tokens, with LiDAR sweeps and camera images beside them.
+//! nuScenes: JSON tables linked by tokens, 10 of which are read, with LiDAR sweeps and camera images beside them.
 //!
 //! # How it works
 //! `tables` defines the raw records, `version` finds those of one scene, `read` converts them to a [`Recording`], and
@@ -9,6 +9,7 @@ mod arcline;
 mod chain;
 mod choose;
 mod frames;
+mod layers;
 mod lens;
 mod map;
 mod numbers;

@@ -1,8 +1,9 @@
-//! Numbers of the tables as different writers store them: whole numbers as floats, unknown counts as -1 or `null`.
+//! Numbers and truth values of the tables as different writers store them: whole numbers as floats, unknown counts as -1 or
+//! `null`, `true` as 1, and all of them as text.
 
 use std::fmt;
 
-use serde::de::{Deserialize, Deserializer, Error, IgnoredAny, MapAccess, SeqAccess, Visitor};
+use serde::de::{Deserialize, Deserializer, Error, IgnoredAny, MapAccess, SeqAccess, Unexpected, Visitor};
 
 use crate::dataset::clock::Unit;
 use crate::dataset::limits::MAX_TIME_US;
@@ -39,6 +40,16 @@ impl<'de> Deserialize<'de> for TimeUs {
                     false => Err(far(t_us)),
                 }
             }
+
+            fn visit_str<E: Error>(self, text: &str) -> Result<TimeUs, E> {
+                let text = text.trim();
+                let number = text.parse().ok().filter(|t_us: &f64| t_us.is_finite());
+                match (text.parse::<i64>(), number) {
+                    (Ok(t_us), _) => self.visit_i64(t_us),
+                    (_, Some(t_us)) => self.visit_f64(t_us),
+                    _ => Err(E::invalid_type(Unexpected::Str(text), &self)),
+                }
+            }
         }
         from.deserialize_any(Time)
     }
@@ -47,6 +58,55 @@ impl<'de> Deserialize<'de> for TimeUs {
 fn far<E: Error>(t_us: f64) -> E {
     let hint = Unit::MICROS.hint(t_us);
     E::custom(format!("a time of {t_us} us, a thousand years from 1970 or more{hint}"))
+}
+
+/// `true` or `false`, also as a number or as text.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Truth(pub(super) bool);
+
+impl<'de> Deserialize<'de> for Truth {
+    fn deserialize<D: Deserializer<'de>>(from: D) -> Result<Self, D::Error> {
+        struct AnyTruth;
+        impl Visitor<'_> for AnyTruth {
+            type Value = Truth;
+
+            fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+                f.write_str("a boolean")
+            }
+
+            fn visit_bool<E>(self, value: bool) -> Result<Truth, E> {
+                Ok(Truth(value))
+            }
+
+            fn visit_i64<E: Error>(self, value: i64) -> Result<Truth, E> {
+                self.visit_f64(value as f64)
+            }
+
+            fn visit_u64<E: Error>(self, value: u64) -> Result<Truth, E> {
+                self.visit_f64(value as f64)
+            }
+
+            fn visit_f64<E: Error>(self, value: f64) -> Result<Truth, E> {
+                match value {
+                    0.0 => Ok(Truth(false)),
+                    1.0 => Ok(Truth(true)),
+                    other => Err(E::invalid_value(Unexpected::Float(other), &self)),
+                }
+            }
+
+            fn visit_str<E: Error>(self, text: &str) -> Result<Truth, E> {
+                match text.trim().to_ascii_lowercase().as_str() {
+                    "true" | "t" | "yes" | "y" => Ok(Truth(true)),
+                    "false" | "f" | "no" | "n" => Ok(Truth(false)),
+                    other => match other.parse() {
+                        Ok(number) => self.visit_f64(number),
+                        Err(_) => Err(E::invalid_value(Unexpected::Str(text), &self)),
+                    },
+                }
+            }
+        }
+        from.deserialize_any(AnyTruth)
+    }
 }
 
 /// Count or size that may be unknown: a number from 0 to 2³² − 1, as an integer or a float, or anything else.
@@ -180,16 +240,39 @@ mod tests {
             ("1557858039302414.75", 1_557_858_039_302_415),
             ("1.5578580393024145e15", 1_557_858_039_302_415),
             ("-0.2", 0),
+            ("\"1557858039302414\"", 1_557_858_039_302_414),
+            ("\" 1557858039302414.75 \"", 1_557_858_039_302_415),
         ] {
             assert_eq!(time(text), Ok(t_us), "{text}");
         }
         for (text, found) in [
             ("NaN", "NaN instead of microseconds"),
             ("null", "null instead of microseconds"),
+            ("\"noon\"", "\"noon\" instead of microseconds"),
+            ("\"\"", "instead of microseconds"),
+            ("\"inf\"", "inf instead of microseconds"),
             ("1e20", "a time of 100000000000000000000 us, a thousand years from 1970 or more"),
             ("18446744073709551615", "a thousand years"),
         ] {
             assert!(time(text).unwrap_err().contains(found), "{text}: {:?}", time(text));
+        }
+    }
+
+    #[test]
+    fn truth_has_many_spellings() {
+        let truth = |text: &str| parsed::<Truth>(text.as_bytes()).map(|truth| truth.0);
+        for text in ["true", "1", "1.0", "\"True\"", "\"1\"", "\" yes\"", "\"T\""] {
+            assert_eq!(truth(text), Ok(true), "{text}");
+        }
+        for text in ["false", "0", "-0.0", "\"False\"", "\"0\"", "\"no\"", "\"0.0\""] {
+            assert_eq!(truth(text), Ok(false), "{text}");
+        }
+        for text in ["2", "-1", "NaN", "\"maybe\"", "\"\"", "null", "[]"] {
+            assert!(
+                truth(text).unwrap_err().contains("instead of true or false"),
+                "{text}: {:?}",
+                truth(text)
+            );
         }
     }
 }

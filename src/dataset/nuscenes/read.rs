@@ -1,7 +1,7 @@
 //! Conversion of one scene's tables to a [`Recording`].
 
 use super::chain::Chain;
-use super::tables::{Attribute, LogRecord, MapRecord, Table, Visibility};
+use super::tables::{LogRecord, Table};
 use super::version::Version;
 use super::{annotations, choose, frames};
 use crate::dataset::clock::{Unit, note_interval};
@@ -16,14 +16,9 @@ pub(super) fn read(
     wanted_scene: Option<&str>,
     reading: &ReadOptions,
 ) -> Result<(Recording, BoxPoints), DatasetError> {
-    let tables = &version.folder;
     let scene = choose::choose_scene(&version.scenes, wanted_scene)?;
-    let logs = Table::<LogRecord>::load(tables)?;
+    let logs = Table::<LogRecord>::load(&version.folder)?;
     let recorded = logs.get(&scene.log_token, || format!("scene {}", scene.token))?;
-    // These three tables are unused, but a dataset without them is damaged.
-    Table::<Attribute>::load(tables)?;
-    Table::<Visibility>::load(tables)?;
-    Table::<MapRecord>::load(tables)?;
 
     let mut notes = Notes::new();
     let chain = Chain::of(&version.samples, scene, &mut notes)?;

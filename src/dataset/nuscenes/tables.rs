@@ -8,9 +8,9 @@ use std::path::{Path, PathBuf};
 
 use rustc_hash::FxHashMap;
 use serde::de::DeserializeOwned;
-use serde_json::Value;
+use serde_json::{Map, Value};
 
-use super::numbers::{TimeUs, Whole};
+use super::numbers::{TimeUs, Truth, Whole};
 use super::rows::array_of;
 use crate::dataset::DatasetError;
 use crate::dataset::lenient::or_default;
@@ -56,13 +56,18 @@ records! {
         log_token: String,
         first_sample_token: String,
     }
-    Sample in "sample" { timestamp: TimeUs, next: String, scene_token: String }
+    Sample in "sample" {
+        timestamp: TimeUs,
+        #[serde(default, deserialize_with = "or_default")]
+        next: String,
+        scene_token: String,
+    }
     SampleData in "sample_data" {
         sample_token: String,
         ego_pose_token: String,
         calibrated_sensor_token: String,
         timestamp: TimeUs,
-        is_key_frame: bool,
+        is_key_frame: Truth,
         is_valid: Option<Value>,
         #[serde(default)]
         height: Whole,
@@ -77,10 +82,15 @@ records! {
         rotation: [f64; 4],
         #[serde(default, deserialize_with = "or_default")]
         camera_intrinsic: Vec<Vec<f64>>,
-        camera_distortion: Option<Value>,
-        camera_distortion_model: Option<Value>,
+        #[serde(flatten)]
+        others: Map<String, Value>,
     }
-    Sensor in "sensor" { channel: String, modality: String }
+    Sensor in "sensor" {
+        channel: String,
+        modality: String,
+        #[serde(flatten)]
+        others: Map<String, Value>,
+    }
     Instance in "instance" { category_token: String }
     Annotation in "sample_annotation" {
         sample_token: String,
@@ -92,13 +102,10 @@ records! {
         num_lidar_pts: Whole,
     }
     Category in "category" { name: String }
-    Attribute in "attribute" {}
-    Visibility in "visibility" {}
     LogRecord in "log" {
         #[serde(default, deserialize_with = "or_default")]
         location: String,
     }
-    MapRecord in "map" {}
 }
 
 /// Records of a table in file order, with lookup by token.
@@ -139,7 +146,7 @@ impl<R: Record> Table<R> {
 
     /// Returns the record of a token, if there is one.
     pub(super) fn find(&self, token: &str) -> Option<&R> {
-        self.by_token.get(token).map(|i| &self.records[*i])
+        self.position(token).map(|i| &self.records[i])
     }
 
     /// Returns the record of a token; `by` names the referring record.
@@ -147,20 +154,17 @@ impl<R: Record> Table<R> {
     /// # Errors
     /// Returns [`DatasetError::DanglingToken`] if there is none.
     pub(super) fn get(&self, token: &str, by: impl FnOnce() -> String) -> Result<&R, DatasetError> {
-        self.position(token, by).map(|i| &self.records[i])
-    }
-
-    /// Returns the index in [`Table::records`] of a token's record.
-    ///
-    /// # Errors
-    /// Returns [`DatasetError::DanglingToken`] if there is none.
-    pub(super) fn position(&self, token: &str, by: impl FnOnce() -> String) -> Result<usize, DatasetError> {
-        self.by_token.get(token).copied().ok_or_else(|| DatasetError::DanglingToken {
+        self.find(token).ok_or_else(|| DatasetError::DanglingToken {
             table: R::TABLE,
             token: token.to_owned(),
             by: by(),
             path: self.path.clone(),
         })
+    }
+
+    /// Returns the index in [`Table::records`] of a token's record, if there is one.
+    pub(super) fn position(&self, token: &str) -> Option<usize> {
+        self.by_token.get(token).copied()
     }
 
     /// Drops the records that are not accepted by `keep`.

@@ -4,7 +4,7 @@
 use std::path::PathBuf;
 
 use point_skeleton::dataset::nuscenes::NuScenes;
-use point_skeleton::dataset::{Dataset, DatasetError, LogLocator};
+use point_skeleton::dataset::{Dataset, DatasetError, LogLocator, MissingData};
 use proptest::prelude::*;
 use pskel::logs;
 use serde_json::{Value, json};
@@ -26,6 +26,9 @@ const TABLES: [&str; 13] = [
     "sensor",
     "visibility",
 ];
+
+/// Tables that are not read.
+const UNREAD: [&str; 3] = ["attribute", "map", "visibility"];
 
 /// Copy of a town's files that a test breaks.
 struct Broken(tempfile::TempDir);
@@ -91,7 +94,11 @@ fn a_missing_table_is_named() {
     for table in TABLES {
         let broken = Broken::new();
         std::fs::remove_file(broken.table(table)).unwrap();
-        broken.refuses("", &["cannot read"], &format!("v1.0-mini/{table}.json"));
+        if UNREAD.contains(&table) {
+            broken.open_as("").unwrap();
+        } else {
+            broken.refuses("", &["cannot read"], &format!("v1.0-mini/{table}.json"));
+        }
     }
 }
 
@@ -116,6 +123,20 @@ fn tokens_that_lead_nowhere_are_named() {
         ("scene", "log_token", "log"),
         ("scene", "first_sample_token", "sample"),
         ("sample", "next", "sample"),
+    ];
+    for (table, field, target) in cases {
+        let broken = Broken::new();
+        broken.edit(table, |records| records[0][field] = json!("nowhere"));
+        let by = format!("referred to by {table} ");
+        let expected = format!("expected {target}.json to hold token nowhere, found none");
+        broken.refuses("", &[&expected, &by], &format!("v1.0-mini/{target}.json"));
+    }
+}
+
+/// A missing record costs the data and boxes that refer to it, as a missing file does.
+#[test]
+fn what_refers_to_a_missing_record_is_skipped_or_refused() {
+    let cases = [
         ("sample_data", "calibrated_sensor_token", "calibrated_sensor"),
         ("sample_data", "ego_pose_token", "ego_pose"),
         ("calibrated_sensor", "sensor_token", "sensor"),
@@ -125,9 +146,19 @@ fn tokens_that_lead_nowhere_are_named() {
     for (table, field, target) in cases {
         let broken = Broken::new();
         broken.edit(table, |records| records[0][field] = json!("nowhere"));
-        let by = format!("referred to by {table} ");
-        let expected = format!("expected {target}.json to hold token nowhere, found none");
-        broken.refuses("", &[&expected, &by], &format!("v1.0-mini/{target}.json"));
+        let boxes = target == "instance" || target == "category";
+        let kind = if boxes { "boxes" } else { "sweeps and images" };
+        let kind = format!("{kind} that refer to a missing record");
+        let log = broken.open_as("").unwrap();
+        let gaps = &log.log().gaps;
+        assert!(gaps[0].to_string().contains(&format!("whose {target} nowhere is missing")), "{}", gaps[0]);
+        assert_eq!(log.log().notes[&kind], gaps.iter().filter(|gap| gap.kind == kind).count());
+        assert_eq!(log.log().frames.len(), FRAMES);
+        let mut strict: LogLocator = format!("nuscenes:{}", broken.0.path().display()).parse().unwrap();
+        strict.reading.missing = MissingData::Error;
+        let message = NuScenes::open(&strict).expect_err("a log with gaps").to_string();
+        let file = format!("v1.0-mini/{target}.json");
+        assert_says(&message, &[&kind, "whose", "nowhere is missing", &file], "");
     }
 }
 

@@ -164,12 +164,12 @@ fn records_without_a_shape_are_skipped_and_counted() {
 fn broken_maps_are_told() {
     type Edit = fn(&mut Value);
     let cases: [(Edit, &[&str]); 4] = [
-        (|m| m["node"][1]["token"] = json!("a"), &["every token once, found node a twice"]),
-        (|m| m["lane_connector"][0]["token"] = json!("lane"), &["every token once, found lane lane twice"]),
         (
-            |m| m["node"][0]["token"] = json!(5),
-            &["expected a map expansion, found 5 instead of text in node[0].token of record 5"],
+            |m| m["stop_line"][0]["token"] = json!(5),
+            &["expected a map expansion", "no record of stop_line", "5 instead of text in token of record 5"],
         ),
+        (|m| m["ped_crossing"] = json!([null]), &["no record of ped_crossing"]),
+        (|m| m["lane"] = json!({}), &["expected a map expansion", "an array of records"]),
         (|m| m["connectivity"] = json!([1]), &["an object by lane, or an empty array"]),
     ];
     for (edit, parts) in cases {
@@ -178,11 +178,72 @@ fn broken_maps_are_told() {
         let message = read(&map).unwrap_err();
         assert!(parts.iter().all(|part| message.contains(part)), "{message}\nexpected {parts:?}");
     }
-    for layer in ["node", "polygon", "line", "lane", "drivable_area", "ped_crossing", "road_divider"] {
+    for layer in ["node", "polygon", "lane"] {
         let mut map = made_up();
         map.as_object_mut().unwrap().remove(layer);
         assert!(read(&map).unwrap_err().contains(&format!("no field {layer}")));
     }
+}
+
+#[test]
+fn layers_that_a_map_lacks_are_counted() {
+    for layer in ["line", "drivable_area", "ped_crossing", "stop_line", "road_divider", "lane_divider"] {
+        for value in [None, Some(Value::Null)] {
+            let mut map = made_up();
+            map.as_object_mut().unwrap().remove(layer);
+            if let Some(value) = value {
+                map[layer] = value;
+            }
+            let map = read(&map).unwrap();
+            assert_eq!(map.notes[&format!("maps without {layer}")], 1);
+            assert_eq!(map.lanes.len(), 1);
+        }
+    }
+}
+
+#[test]
+fn bad_records_are_skipped_and_counted() {
+    type Edit = fn(&mut Value);
+    let cases: [(Edit, &str); 8] = [
+        (|m| again(&mut m["polygon"]), "records of polygon with the identifier of another (skipped)"),
+        (|m| again(&mut m["node"]), "records of node with the identifier of another (skipped)"),
+        (|m| again(&mut m["lane"]), "lanes with the identifier of another (skipped)"),
+        (
+            |m| insert(&mut m["lane"], json!({"token": "x", "polygon_token": 5})),
+            "records of lane that cannot be read (skipped)",
+        ),
+        (
+            |m| insert(&mut m["node"], json!({"token": 5, "x": 1, "y": 1})),
+            "records of node that cannot be read (skipped)",
+        ),
+        (|m| insert(&mut m["stop_line"], json!(null)), "records of stop_line that cannot be read (skipped)"),
+        (
+            |m| m["connectivity"]["other"] = json!({"outgoing": "lane"}),
+            "records of connectivity that cannot be read (skipped)",
+        ),
+        (
+            |m| m["arcline_path_3"]["other"] = json!("path"),
+            "records of arcline_path_3 that cannot be read (skipped)",
+        ),
+    ];
+    let whole = read(&made_up()).unwrap();
+    for (edit, note) in cases {
+        let mut map = made_up();
+        edit(&mut map);
+        let mut map = read(&map).unwrap();
+        assert_eq!(std::mem::take(&mut map.notes).into_iter().collect::<Vec<_>>(), [(note.to_owned(), 1)]);
+        assert_eq!(map, whole);
+    }
+}
+
+fn insert(records: &mut Value, record: Value) {
+    records.as_array_mut().unwrap().push(record);
+}
+
+/// Adds the first record again.
+fn again(records: &mut Value) {
+    let first = records[0].clone();
+    insert(records, first);
 }
 
 proptest! {

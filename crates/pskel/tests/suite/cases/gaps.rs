@@ -6,7 +6,7 @@ use std::path::Path;
 use serde_json::Value;
 
 use super::Case;
-use crate::av2_log::TinyAv2;
+use crate::av2_log::{self, TinyAv2};
 use crate::common::shared;
 use crate::guarded;
 use crate::nuplan_made::{Made, RING, image_file};
@@ -28,7 +28,7 @@ fn succeed(folder: &Path, args: &str) -> String {
 
 /// Returns the description of a log and the exit code.
 #[track_caller]
-fn info(folder: &Path, log: &str) -> (Value, Option<i32>) {
+pub(super) fn info(folder: &Path, log: &str) -> (Value, Option<i32>) {
     let ended = pskel(folder, &format!("info --json {log}"));
     (serde_json::from_str(&ended.stdout).unwrap_or_else(|_| panic!("{}", ended.stderr)), ended.code)
 }
@@ -36,7 +36,7 @@ fn info(folder: &Path, log: &str) -> (Value, Option<i32>) {
 /// Asserts the one policy: `build` skips and counts, `info` names the part and fails if a file is missing or damaged, and with
 /// `--missing error` every command refuses the log with the name of the part.
 #[track_caller]
-fn assert_policy(folder: &Path, log: &str, note: &str, named: &str, info_code: i32) {
+pub(super) fn assert_policy(folder: &Path, log: &str, note: &str, named: &str, info_code: i32) {
     let text = succeed(folder, &format!("build {log} --out policy"));
     assert!(text.contains(note), "{text}\nexpected {note}");
     let (json, code) = info(folder, log);
@@ -134,6 +134,26 @@ fn missing_files_are_skipped_and_counted_in_argoverse() {
     assert_policy(&root, &format!("av2:{}", root.display()), "missing camera images", "ring_front_center", 0);
 }
 
+/// The names of sweeps are known from the annotated times, and those of the folders of cameras from the calibration.
+#[test]
+fn missing_sweeps_and_folders_of_argoverse_are_missing_files() {
+    let log = TinyAv2::new();
+    let root = log.path("");
+    let name = format!("av2:{}", root.display());
+    std::fs::remove_file(log.path(&av2_log::sweep(1))).unwrap();
+    let sweep = format!("{}.feather", av2_log::frame_ns(1));
+    assert_policy(&root, &name, "1 frames without a LiDAR sweep of their own", &sweep, 1);
+    let log = TinyAv2::new();
+    let root = log.path("");
+    std::fs::remove_dir_all(log.path("sensors/cameras/ring_side_left")).unwrap();
+    let name = format!("av2:{}", root.display());
+    assert_policy(&root, &name, "3 missing camera images", "ring_side_left", 1);
+    assert_eq!(info(&root, &name).0["damaged"].as_array().unwrap().len(), 1);
+    std::fs::remove_dir_all(log.path("sensors")).unwrap();
+    let (json, code) = info(&root, &name);
+    assert_eq!((code, json["damaged"].as_array().unwrap().len()), (Some(1), 3 + 7));
+}
+
 #[test]
 fn flat_boxes_are_skipped_and_counted_in_nuscenes() {
     for size in ["[1.9, 4.5, 0.0]", "[-1.9, 4.5, 1.6]", "[0, 0, 0]"] {
@@ -160,6 +180,13 @@ fn argoverse_without_annotations_has_frames_without_actors() {
     assert_policy(&root, &name, "1 logs without annotations", "annotations.feather", 0);
     let (json, _) = info(&root, &name);
     assert_eq!((&json["frames"], &json["boxes"], &json["sweeps"]), (&3.into(), &0.into(), &3.into()));
+    // A file without rows is the same.
+    let log = TinyAv2::new();
+    log.edit("annotations.feather", |columns| columns.iter_mut().for_each(|(_, c)| *c = c.slice(0, 0)));
+    let root = log.path("");
+    let name = format!("av2:{}", root.display());
+    assert_policy(&root, &name, "1 logs without annotations", "annotations.feather", 0);
+    assert_eq!(info(&root, &name).0["frames"], 3);
     std::fs::remove_dir_all(log.path("sensors/lidar")).unwrap();
     pskel(&root, &format!("info {name}"))
         .refused("neither", &["annotations.feather, or sweeps", "found neither"]);

@@ -7,6 +7,8 @@ use serde_json::{Value, json};
 use crate::av2_log::map;
 use crate::nuplan_made::{Made, geometry};
 
+const UNMARKED: &str = "lane boundaries without a mark type (not drawn)";
+
 #[test]
 fn argoverse_maps_skip_records_without_a_shape() {
     type Edit = fn(&mut Value);
@@ -66,6 +68,57 @@ fn argoverse_maps_skip_records_without_a_shape() {
     map["drivable_areas"]["1"]["area_boundary"][0] = nan.clone();
     let map = read(&map);
     assert_eq!(elements(&map), elements(&whole) - 1);
+}
+
+#[test]
+fn argoverse_maps_skip_bad_records_and_count_missing_layers() {
+    type Edit = fn(&mut Value);
+    let unreadable = "records of lane_segments that cannot be read (skipped)";
+    let cases: [(Edit, Option<&str>, usize); 8] = [
+        (|m| m["lane_segments"]["9"]["left_lane_mark_type"] = json!(null), Some(UNMARKED), 3),
+        (
+            |m| _ = m["lane_segments"]["9"].as_object_mut().unwrap().remove("left_lane_mark_type"),
+            Some(UNMARKED),
+            3,
+        ),
+        (
+            |m| _ = m["lane_segments"]["9"].as_object_mut().unwrap().remove("is_intersection"),
+            Some(unreadable),
+            2,
+        ),
+        (|m| m["lane_segments"]["9"] = json!(null), Some(unreadable), 2),
+        (|m| m["lane_segments"]["9"]["left_lane_boundary"] = json!("far"), Some(unreadable), 2),
+        (|m| m["lane_segments"]["9"]["id"] = json!("9"), None, 3),
+        (|m| _ = m["pedestrian_crossings"].take(), Some("maps without pedestrian_crossings"), 3),
+        (|m| _ = m.as_object_mut().unwrap().remove("drivable_areas"), Some("maps without drivable_areas"), 3),
+    ];
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("map.json");
+    for (edit, note, lanes) in cases {
+        let mut map = map();
+        edit(&mut map);
+        std::fs::write(&path, map.to_string()).unwrap();
+        let map = read_map_file(&path, "").unwrap();
+        assert_eq!(map.lanes.len() + map.lane_connectors.len(), lanes, "{note:?}");
+        assert_eq!(
+            map.notes.into_iter().collect::<Vec<_>>(),
+            note.map(|note| (note.to_owned(), 1)).into_iter().collect::<Vec<_>>()
+        );
+    }
+}
+
+#[test]
+fn nuplan_maps_skip_bad_features() {
+    let (whole, _) = Made::map_and_notes("");
+    for (statement, note) in [
+        ("UPDATE lanes_polygons SET geom = x'0011' WHERE fid = 12;", "records of lanes_polygons"),
+        ("UPDATE baseline_paths SET lane_fid = 'abc' WHERE fid = 41;", "records of baseline_paths"),
+    ] {
+        let (map, told) = Made::map_and_notes(statement);
+        assert!(told.contains(&(format!("{note} that cannot be read (skipped)"), 1)), "{told:?}");
+        assert_eq!((&map.crossings, &map.dividers), (&whole.crossings, &whole.dividers));
+        assert_eq!(map.lane_connectors.len(), whole.lane_connectors.len());
+    }
 }
 
 #[test]
