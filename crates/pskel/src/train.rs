@@ -5,7 +5,7 @@ use std::time::Instant;
 
 use anyhow::Context;
 use clap::Args;
-use point_skeleton::dataset::LogLocator;
+use point_skeleton::dataset::{LogLocator, LogOpener};
 use point_skeleton::files::FileName;
 use pskel_eval::loss_plot;
 use pskel_generate::TrainingClip;
@@ -98,14 +98,18 @@ pub(super) fn run(args: &TrainArgs) -> anyhow::Result<()> {
         rasterizer: args.rasterizer.desc()?,
     };
     let recorder = ClipRecorder { folder: &drives, config: &config, options: &record };
+    let files =
+        RunOptions { checkpoint_steps: args.checkpoint, resume: args.resume, command: args.command() };
     let folder = (args.steps > 0).then(|| TrainingFolder::open(&args.out)).transpose()?;
+    if let Some(folder) = &folder {
+        folder.check(&config, &options, &files)?;
+        args.check_frames(config.frames)?;
+    }
     let (clips, shares) = args.clips(&recorder)?;
     let frames: usize = clips.iter().map(|clip| clip.frames.len()).sum();
     let seconds = start.elapsed().as_secs_f64();
     say(&format!("{} drives of {frames} frames in {seconds:.2} s: {}", clips.len(), drives.display()));
     let Some(folder) = folder else { return Ok(()) };
-    let files =
-        RunOptions { checkpoint_steps: args.checkpoint, resume: args.resume, command: args.command() };
     let training = folder.start(config, options, files, &clips, shares)?;
     let mut progress = Progress::new(usize::try_from(training.steps_left())?);
     let mut on_step = |report: &StepReport, mean: f64| {
@@ -130,6 +134,22 @@ impl TrainArgs {
             return Ok(());
         }
         Err(WrongUsage(format!("expected {logs} --weights, not all of them 0, found {weights:?}")))
+    }
+
+    /// Checks, before clips are recorded, that each log has as many frames as the windows of the network.
+    fn check_frames(&self, least: usize) -> anyhow::Result<()> {
+        let opener = LogOpener::new();
+        for locator in &self.logs {
+            let outline = logs::outline(&self.roots.locate(locator), &opener);
+            let frames = outline.with_context(|| format!("log {locator}"))?.frames;
+            let left = frames - self.hold_out.map_or(0, |every| frames / usize::from(every));
+            let held = if left < frames { " that are not held out" } else { "" };
+            anyhow::ensure!(
+                left >= least,
+                "expected at least {least} frames{held}, the window of the network, found {left}: log {locator}"
+            );
+        }
+        Ok(())
     }
 
     /// Returns the clips of all logs, in order, and how often each is drawn from.
