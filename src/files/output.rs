@@ -54,6 +54,9 @@ impl OutputFolder {
     /// Fails if another process uses the folder, if it has another kind or is one of `inputs`, or on an I/O error.
     pub fn open(path: &Path, kind: &str, inputs: &Inputs) -> Result<Self, FileError> {
         inputs.check_folder(path)?;
+        if path.is_symlink() && !path.exists() {
+            return Err(FileError::content("a folder or none", "a link that leads nowhere", path));
+        }
         let new = NewFolder((!path.exists()).then(|| path.to_owned()));
         std::fs::create_dir_all(path).map_err(FileError::io("create", path))?;
         let work = WorkFolder::open(path.join(OWN_NAME), path)?;

@@ -166,7 +166,9 @@ fn check_name(path: &Path) -> Result<(), FileError> {
 /// Checks that a file can be created in its folder, or that an existing one can be written to.
 fn check_writable(path: &Path) -> Result<(), FileError> {
     match access(parent(path), Access::WRITE_OK | Access::EXEC_OK) {
-        Err(error) if access(path, Access::WRITE_OK).is_err() => Err(FileError::io("write", path)(error.into())),
+        Err(error) if access(path, Access::WRITE_OK).is_err() => {
+            Err(FileError::io("write", path)(error.into()))
+        }
         _ => Ok(()),
     }
 }

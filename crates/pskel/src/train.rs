@@ -6,7 +6,7 @@ use std::time::Instant;
 use anyhow::Context;
 use clap::Args;
 use point_skeleton::dataset::{LogLocator, LogOpener};
-use point_skeleton::files::FileName;
+use point_skeleton::files::{FileName, is_one_file};
 use pskel_eval::loss_plot;
 use pskel_generate::TrainingClip;
 use pskel_network::NetworkConfig;
@@ -92,6 +92,10 @@ pub(super) fn run(args: &TrainArgs) -> anyhow::Result<()> {
     config.check()?;
     TrainOptions { steps: args.steps.max(1), ..options }.check(&config)?;
     let drives = args.drives.clone().unwrap_or_else(|| args.out.join("drives"));
+    if args.steps > 0 && is_one_file(&args.out, &drives) {
+        let message = format!("expected two folders for --out and --drives, found {}", drives.display());
+        return Err(WrongUsage(message).into());
+    }
     let record = RecordOptions {
         variants: usize::from(args.variants),
         augment: !args.no_augment,
