@@ -32,9 +32,9 @@ impl ColorRange {
         Self { values, max: 0.0, fractions: false }
     }
 
-    /// Adds the color of a point that has a position. Values that are not finite do not count.
+    /// Adds the color of a point that has a position. Values that are negative or not finite do not count.
     pub fn add(&mut self, rgb: [f64; 3]) {
-        for value in rgb.into_iter().filter(|value| value.is_finite()) {
+        for value in rgb.into_iter().filter(|value| value.is_finite() && *value >= 0.0) {
             self.max = self.max.max(value);
             self.fractions |= value.fract() != 0.0;
         }
@@ -95,6 +95,12 @@ impl ColorScale {
     /// Maximum value.
     pub fn max(&self) -> f64 {
         self.max.floor()
+    }
+
+    /// Returns the nearest level of a value; `None` if the value is out of range by more than half a level, or NaN.
+    pub fn near_level(&self, value: f64) -> Option<u8> {
+        let level = value * self.factor;
+        self.level(value).or_else(|| (-0.5..255.5).contains(&level).then_some(level.round() as u8))
     }
 
     /// Returns the nearest level of a value; `None` outside the range.

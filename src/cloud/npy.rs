@@ -15,6 +15,7 @@ use super::{Point, PointFile};
 use crate::error::FileError;
 use crate::files::input::open_regular;
 use crate::files::{sniff, write_whole};
+use crate::memory::{Need, reserve};
 
 /// Maximum header length in bytes, as in NumPy.
 const MAX_HEADER_BYTES: usize = 10_000;
@@ -228,10 +229,10 @@ fn check_header(header: &NpyHeader, path: &Path) -> Result<(Scalar, u64, usize),
 }
 
 /// Reads features `[N, D]` of `f32` or `f64` (little-endian, C order). Returns D and the numbers in row-major order.
-/// The declared size is compared with the file's before anything is allocated.
+/// The declared size is compared with the file's and with the memory before anything is allocated.
 ///
 /// # Errors
-/// Fails if the file cannot be read, its dtype, shape or order is unsupported, or data is missing.
+/// Fails if the file cannot be read, its dtype, shape or order is unsupported, data is missing, or memory is insufficient.
 pub fn read_features(path: &Path) -> Result<(usize, Vec<f64>), FileError> {
     let (file, bytes) = open_regular(path)?;
     let mut reader = BufReader::new(file);
@@ -258,6 +259,13 @@ pub fn read_features(path: &Path) -> Result<(usize, Vec<f64>), FileError> {
         let expected = format!("{rows} rows of {columns} numbers of {} bytes", scalar.bytes());
         FileError::content(expected, format!("{left} bytes of data"), path)
     })?;
+    let bytes = needed.saturating_add((size_of::<f64>() as u64).saturating_mul(rows * columns));
+    let _numbers = reserve(bytes, || Need {
+        what: format!("features of {rows} rows of {columns} numbers"),
+        bytes,
+        advice: "a file of fewer rows needs less",
+    })
+    .map_err(|error| FileError::io("read", path)(error.into()))?;
     let mut data = vec![0; needed as usize];
     reader.read_exact(&mut data).map_err(FileError::io("read", path))?;
     let mut values = Vec::new();

@@ -6,6 +6,7 @@ use super::Point;
 use super::colors::{ColorRange, ColorScale, ColorValues};
 use super::origin::{Precision, Votes, local_position};
 use crate::error::FileError;
+use crate::memory::{Need, Reservation, reserve};
 
 /// Points of a file in row order: point `i` is row `i`.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -63,11 +64,12 @@ pub(super) type Visit<'v> = dyn FnMut(&Row) -> Result<bool, FileError> + 'v;
 /// It is called twice, since the origin and the range of colors depend on all rows.
 ///
 /// # Errors
-/// Returns any error of `each`. Fails if a color or a class is out of range.
+/// Returns any error of `each`. Fails if the points do not fit into memory, or if a color or a class is out of range.
 pub(super) fn collect(
     format: &RowFormat<'_>,
     mut each: impl FnMut(&mut Visit<'_>) -> Result<(), FileError>,
 ) -> Result<PointFile, FileError> {
+    let _points = reserve_points(format)?;
     let (mut votes, mut range) = (Votes::default(), ColorRange::new(format.colors));
     let mut survey = |row: &Row| {
         let position = DVec3::from(row.position);
@@ -84,19 +86,35 @@ pub(super) fn collect(
     }
     let cloud =
         PointFile { points: Vec::with_capacity(format.rows), origin: votes.origin(), ..PointFile::default() };
-    let mut collector = Collector { cloud, colors: range.scale(), path: format.path };
+    let mut collector = Collector { cloud, colors: range.scale(), bad_colors: 0, path: format.path };
     each(&mut |row| collector.push(row).map(|()| true))?;
-    let mut cloud = collector.cloud;
+    let Collector { mut cloud, bad_colors, .. } = collector;
     let origin = format.double.then_some(cloud.origin);
     cloud.notes.extend(range.note());
+    if bad_colors > 0 {
+        let (count, max) = (cloud.points.len(), range.scale().max());
+        cloud.notes.push(format!(
+            "colors of {bad_colors} of {count} points are not finite or just beyond 0 to {max}: black, or the nearest level"
+        ));
+    }
     cloud.notes.extend(cloud.precision.note(cloud.points.len(), origin));
     Ok(cloud)
+}
+
+/// Reserves the memory of the points that a file declares.
+fn reserve_points(format: &RowFormat<'_>) -> Result<Reservation, FileError> {
+    let bytes = (size_of::<Point>() as u64).saturating_mul(format.rows as u64);
+    let what = || format!("a cloud of {} points", format.rows);
+    let need = || Need { what: what(), bytes, advice: "a file of fewer points needs less" };
+    reserve(bytes, need).map_err(|error| FileError::io("read", format.path)(error.into()))
 }
 
 /// Converts rows to points.
 struct Collector<'a> {
     cloud: PointFile,
     colors: ColorScale,
+    /// Number of points with colors that are not finite, or out of range by less than half a level.
+    bad_colors: usize,
     path: &'a Path,
 }
 
@@ -110,16 +128,25 @@ impl Collector<'_> {
             return Ok(());
         };
         let class = self.class(row.class)?;
-        let [r, g, b] = row.rgb;
-        let rgb = [self.level(r)?, self.level(g)?, self.level(b)?];
+        let levels = row.rgb.map(|value| self.colors.level(value));
+        let rgb = match levels {
+            [Some(r), Some(g), Some(b)] => [r, g, b],
+            _ => {
+                self.bad_colors += 1;
+                let [r, g, b] = row.rgb;
+                [self.near_level(r)?, self.near_level(g)?, self.near_level(b)?]
+            }
+        };
         self.cloud.precision.add(local);
         self.cloud.points.push(Point::new(local, rgb, class));
         Ok(())
     }
 
-    fn level(&self, value: f64) -> Result<u8, FileError> {
+    /// Returns the level of a value; that of black if it is not finite.
+    fn near_level(&self, value: f64) -> Result<u8, FileError> {
         let expected = || format!("colors of 0 to {}", self.colors.max());
-        self.colors.level(value).ok_or_else(|| self.off(expected(), value))
+        let level = if value.is_finite() { self.colors.near_level(value) } else { Some(0) };
+        level.ok_or_else(|| self.off(expected(), value))
     }
 
     fn class(&self, value: f64) -> Result<u8, FileError> {
@@ -166,11 +193,39 @@ mod tests {
             (Row { class: f64::NAN, ..ROW }, "found NaN in row 1"),
             (Row { class: -1.0, ..ROW }, "found -1 in row 1"),
             (Row { rgb: [0.0, 256.0, 0.0], ..ROW }, "colors of 0 to 255, found 256 in row 1"),
-            (Row { rgb: [0.0, 0.0, f64::NAN], ..ROW }, "found NaN in row 1"),
+            (Row { rgb: [0.0, -1.0, f64::NAN], ..ROW }, "colors of 0 to 255, found -1 in row 1"),
         ] {
             let message = collected(false, &[ROW, row]).unwrap_err().to_string();
             assert!(message.contains(found) && message.ends_with("p.npy"), "{message}");
         }
+    }
+
+    #[test]
+    fn bad_colors_of_few_points_are_counted() {
+        let rows = [
+            Row { rgb: [1.0, 0.5, -1e-9], ..ROW },
+            Row { rgb: [f64::NAN, 0.25, f64::INFINITY], ..ROW },
+            Row { rgb: [0.0, 0.25, 1.0], ..ROW },
+        ];
+        let cloud = collected(false, &rows).unwrap();
+        let colors: Vec<[u8; 3]> = cloud.points.iter().map(Point::rgb).collect();
+        assert_eq!(colors, [[255, 128, 0], [0, 64, 0], [0, 64, 255]]);
+        let note =
+            "colors of 2 of 3 points are not finite or just beyond 0 to 1: black, or the nearest level";
+        assert_eq!(cloud.notes, ["colors of 0 to 1, scaled to 0 to 255", note]);
+        for (value, level) in [(255.4, Some(255)), (-0.4, Some(0)), (255.6, None), (-0.6, None)] {
+            let cloud = collected(false, &[Row { rgb: [9.0, 9.0, value], ..ROW }]);
+            assert_eq!(cloud.ok().map(|cloud| cloud.points[0].rgb()[2]), level, "{value}");
+        }
+    }
+
+    #[test]
+    fn more_points_than_fit_into_memory_are_refused() {
+        let format =
+            RowFormat { rows: 1 << 50, double: true, colors: ColorValues::Levels, path: Path::new("p.npy") };
+        let message = collect(&format, |_| panic!("read")).unwrap_err().to_string();
+        let expected = "cannot read: a cloud of 1125899906842624 points needs 16384.0 PiB of memory, but ";
+        assert!(message.starts_with(expected) && message.ends_with(": p.npy"), "{message}");
     }
 
     #[test]

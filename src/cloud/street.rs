@@ -21,6 +21,8 @@ const CAMERAS: [(&str, f64, f64); 6] = [
     ("CAM_BACK_LEFT", 110.0, 1256.0),
     ("CAM_BACK_RIGHT", -110.0, 1259.0),
 ];
+/// Peak memory of [`street_cloud`] per point, bytes: a sort key and the point.
+pub const POINT_BYTES: u64 = 8 + 16;
 const WIDTH: u32 = 1600;
 const HEIGHT: u32 = 900;
 /// Bits of a sort key that hold the point's index; a key of [`Site::cell`] has 18.
@@ -31,8 +33,8 @@ const NUMBER_BITS: u32 = 46;
 /// of facades 7 to 20 m away and up to 15 m high, denser towards the bottom. Points are in Morton order of half-meter
 /// cells, as in clouds merged by voxel. Their class is 0.
 ///
-/// The same seed gives the same points for any number of threads. Peak memory is 24 bytes per point, 16 of them for
-/// the result.
+/// The same seed gives the same points for any number of threads. Peak memory is [`POINT_BYTES`] per point, 16 of them
+/// for the result.
 pub fn street_cloud(points: usize, seed: u64) -> Vec<Point> {
     let key = |number: usize| Site::new(number as u64, seed).cell() << NUMBER_BITS | number as u64;
     let mut order: Vec<u64> = (0..points).into_par_iter().map(key).collect();

@@ -3,7 +3,7 @@
 use super::tensor::{LAYOUT_CHANNELS, POINT_CHANNELS};
 use super::{ConditionOptions, MapKind, MapSet};
 use crate::geometry::{ImageSize, View};
-use crate::memory::{MemoryError, Reservation, reserve};
+use crate::memory::{MemoryError, Need, Reservation, reserve};
 use crate::raster::{frame_bytes, need_of_views};
 
 /// Memory of a color map that is rendered at full size, per pixel: the rasterizer's maps, the map itself, and what its filter needs.
@@ -38,7 +38,7 @@ fn step_bytes(views: &[View], options: &ConditionOptions) -> u64 {
 /// Reserves the memory of the maps of a step.
 pub(super) fn reserve_step(views: &[View], options: &ConditionOptions) -> Result<Reservation, MemoryError> {
     let bytes = step_bytes(views, options);
-    reserve(bytes, || need_of_views(views.iter().map(|view| drawn_size(view, options)), bytes))
+    reserve(bytes, || need(views, options, bytes))
 }
 
 /// Checks that the maps of some views and a rasterizer's memory for them fit into the budget together, before anything is taken.
@@ -52,7 +52,19 @@ pub fn check_memory(views: &[View], options: &ConditionOptions, has_map: bool) -
     let splatted = options.maps & MapSet::SPLATTED;
     let step = step_bytes(views, &options);
     let bytes = step + step / ENCODED_SHARE + frame_bytes(&drawn, options.out_size, splatted, false);
-    reserve(bytes, || need_of_views(drawn.iter().map(|view| ImageSize::of(&view.camera)), bytes)).map(drop)
+    reserve(bytes, || need(views, &options, bytes)).map(drop)
+}
+
+/// Describes the memory of views, with the size of the maps if that is the larger one.
+fn need(views: &[View], options: &ConditionOptions, bytes: u64) -> Need {
+    let sizes = || views.iter().map(|view| drawn_size(view, options));
+    let need = need_of_views(sizes(), bytes);
+    match options.out_size {
+        Some(out) if sizes().all(|size| size.pixels() < out.pixels()) => {
+            Need { what: format!("{} for maps of {out}", need.what), ..need }
+        }
+        _ => need,
+    }
 }
 
 fn drawn_size(view: &View, options: &ConditionOptions) -> ImageSize {

@@ -58,6 +58,9 @@ impl OutputFolder {
     pub fn open(path: &Path, kind: &str, inputs: &Inputs) -> Result<Self, FileError> {
         inputs.check_folder(path)?;
         check_above(path)?;
+        if path.is_symlink() && !path.exists() {
+            return Err(FileError::content("a folder or none", "a link that leads nowhere", path));
+        }
         let new = NewFolder((!path.exists()).then(|| path.to_owned()));
         std::fs::create_dir_all(path).map_err(FileError::io("create", path))?;
         let work = WorkFolder::open(path.join(OWN_NAME), path)?;

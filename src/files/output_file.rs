@@ -1,12 +1,14 @@
 //! Outputs that are single files: checked before any work, against everything that the command reads.
 
-use std::io::{BufWriter, Read};
+use std::io::{BufWriter, ErrorKind, Read};
 use std::path::{Path, PathBuf};
+
+use rustix::fs::{Access, access};
 
 use super::Inputs;
 use super::input::open_regular;
 use super::manifest::Manifest;
-use super::whole::{target, write_json, write_whole};
+use super::whole::{created_at, target, write_json, write_whole};
 use crate::error::FileError;
 
 /// Length of the beginning that identifies the kind of a file, bytes.
@@ -26,7 +28,7 @@ pub struct FileKind {
 }
 
 /// A file to write. It replaces nothing except an empty file or one of its kind, and is no part of the command's inputs
-/// or of another output.
+/// or of another output. Links are followed, also to a file that does not exist yet.
 #[derive(Clone, Debug)]
 pub struct OutputFile {
     path: PathBuf,
@@ -38,14 +40,17 @@ impl OutputFile {
     ///
     /// # Errors
     /// Fails if the file is one of the inputs or below one, if it belongs to another output, if a file of another kind, a
-    /// folder or a device is there, or if its folder does not exist.
+    /// folder or a device is there, if its folder does not exist, or if it cannot be written there.
     pub fn open(path: &Path, kind: FileKind, inputs: &Inputs) -> Result<Self, FileError> {
-        inputs.check_same(path)?;
-        check_other_outputs(path)?;
-        inputs.check_outside(path)?;
-        check_parent(path)?;
-        kind.check(path)?;
-        Ok(Self { path: path.to_owned(), kind })
+        let path = if path.exists() { path.to_owned() } else { created_at(path) };
+        inputs.check_same(&path)?;
+        check_other_outputs(&path)?;
+        inputs.check_outside(&path)?;
+        check_name(&path)?;
+        check_parent(&path)?;
+        kind.check(&path)?;
+        check_writable(&path)?;
+        Ok(Self { path, kind })
     }
 
     /// Returns the path.
@@ -59,7 +64,7 @@ impl OutputFile {
     /// Fails if it is in the folder.
     pub fn check_outside(path: &Path, folder: &Path) -> Result<(), FileError> {
         let resolved = |path: &Path| path.canonicalize().or_else(|_| std::path::absolute(path));
-        match (resolved(parent(path)), resolved(folder)) {
+        match (resolved(parent(&created_at(path))), resolved(folder)) {
             (Ok(parent), Ok(folder)) if parent.starts_with(&folder) => {
                 let expected = format!("a file outside of the output {}", folder.display());
                 Err(FileError::content(expected, "one in it", path))
@@ -93,6 +98,7 @@ impl OutputFile {
 /// Returns whether two paths are one file, which need not exist yet.
 pub fn is_one_file(a: &Path, b: &Path) -> bool {
     let place = |path: &Path| {
+        let path = &created_at(path);
         let folder = parent(path).canonicalize().unwrap_or_else(|_| parent(path).to_owned());
         let named = folder.join(path.file_name().unwrap_or_default());
         named.canonicalize().unwrap_or(named)
@@ -142,6 +148,31 @@ fn check_other_outputs(path: &Path) -> Result<(), FileError> {
     Ok(())
 }
 
+/// Checks that a path ends with the name of a file, which is not too long.
+fn check_name(path: &Path) -> Result<(), FileError> {
+    let text = path.as_os_str().as_encoded_bytes();
+    if text.is_empty() || [b"/".as_slice(), b"/."].iter().any(|end| text.ends_with(end)) {
+        return Err(FileError::content("the path of a file", "one that ends without a name", path));
+    }
+    match path.symlink_metadata() {
+        Ok(about) if about.is_symlink() && !path.exists() => {
+            Err(FileError::content("a file or none", "a link that leads in a circle", path))
+        }
+        Err(error) if error.kind() == ErrorKind::InvalidFilename => Err(FileError::io("write", path)(error)),
+        _ => Ok(()),
+    }
+}
+
+/// Checks that a file can be created in its folder, or that an existing one can be written to.
+fn check_writable(path: &Path) -> Result<(), FileError> {
+    match access(parent(path), Access::WRITE_OK | Access::EXEC_OK) {
+        Err(error) if access(path, Access::WRITE_OK).is_err() => {
+            Err(FileError::io("write", path)(error.into()))
+        }
+        _ => Ok(()),
+    }
+}
+
 /// Checks that the folder of a file exists.
 fn check_parent(path: &Path) -> Result<(), FileError> {
     let folder = parent(path);
@@ -189,6 +220,15 @@ mod tests {
             let message = open(name).unwrap_err().to_string();
             assert!(message.contains(expected), "{message}");
         }
+        let long = "a".repeat(256);
+        for (name, expected) in [
+            ("new/", "expected the path of a file, found one that ends without a name"),
+            ("new/.", "expected the path of a file"),
+            (long.as_str(), "cannot write: File name too long"),
+        ] {
+            let message = open(name).unwrap_err().to_string();
+            assert!(message.contains(expected), "{message}");
+        }
         // A file that appears during the work.
         let file = open("new").unwrap();
         std::fs::write(at("new"), "mine").unwrap();
@@ -207,6 +247,43 @@ mod tests {
         let message = open("a.json").unwrap_err().to_string();
         assert!(message.contains("no part of another output, found one of the export "), "{message}");
         open("new.json").unwrap();
+    }
+
+    #[test]
+    fn links_lead_to_files_that_do_not_exist_yet() {
+        let folder = tempfile::tempdir().unwrap();
+        let at = |name: &str| folder.path().join(name);
+        for name in ["disk", "log"] {
+            std::fs::create_dir(at(name)).unwrap();
+        }
+        for (target, link) in [
+            ("disk/new", "a"),
+            ("a", "b"),
+            ("log/new", "in-log"),
+            ("none/new", "nowhere"),
+            ("circle", "circle"),
+        ] {
+            std::os::unix::fs::symlink(target, at(link)).unwrap();
+        }
+        let open = |name: &str| OutputFile::open(&at(name), KIND, &Inputs::new([at("log")]));
+        for _ in 0..2 {
+            open("b").unwrap().write_json(&serde_json::json!({"seed": 7})).unwrap();
+            assert!(at("a").is_symlink() && at("b").is_symlink() && at("disk/new").is_file());
+        }
+        write_json(&at("in-log"), &1).unwrap();
+        assert!(at("log/new").is_file() && at("in-log").is_symlink());
+        std::fs::remove_file(at("log/new")).unwrap();
+        for (name, expected) in [
+            ("in-log", "expected an output outside of the input"),
+            ("nowhere", "cannot read"),
+            ("circle", "expected a file or none, found a link that leads in a circle"),
+        ] {
+            let message = open(name).unwrap_err().to_string();
+            assert!(message.starts_with(expected), "{name}: {message}");
+        }
+        std::os::unix::fs::symlink("disk/x", at("x")).unwrap();
+        assert!(is_one_file(&at("x"), &at("disk/x")));
+        assert!(OutputFile::check_outside(&at("x"), &at("disk")).is_err());
     }
 
     #[test]

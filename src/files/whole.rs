@@ -113,7 +113,7 @@ impl Drop for PartialFile {
     }
 }
 
-/// Resolves `path` if it is a link to a file. Fails if it is a folder, device or pipe.
+/// Resolves `path` if it is a link, also to a file that does not exist yet. Fails if it is a folder, device or pipe.
 pub(super) fn target(path: &Path) -> Result<PathBuf, FileError> {
     match path.metadata() {
         Ok(data) if !data.is_file() => {
@@ -121,6 +121,18 @@ pub(super) fn target(path: &Path) -> Result<PathBuf, FileError> {
             Err(FileError::content("a regular file or none", found, path))
         }
         Ok(_) => path.canonicalize().map_err(FileError::io("read", path)),
-        Err(_) => Ok(path.to_owned()),
+        Err(_) => Ok(created_at(path)),
     }
+}
+
+/// Returns where a file is created that does not exist: the path itself, or where it leads if it is a link.
+pub(super) fn created_at(path: &Path) -> PathBuf {
+    /// As on Linux, so that links in a circle end.
+    const MAX_LINKS: usize = 40;
+    let mut place = path.to_owned();
+    for _ in 0..MAX_LINKS {
+        let Ok(link) = std::fs::read_link(&place) else { break };
+        place = place.with_file_name(link);
+    }
+    place
 }

@@ -49,9 +49,9 @@ pub enum CameraError {
     /// The last row is not `0 0 1`.
     #[error("expected intrinsics with last row 0 0 1, found {0:?}")]
     LastRow([f64; 3]),
-    /// The determinant is zero, or a focal length is not positive.
+    /// The determinant is zero, or a focal length is not positive or above [`Camera::MAX_FOCAL`].
     #[error(
-        "expected invertible intrinsics with focal lengths above 0, found fx {fx}, fy {fy}, determinant {determinant}"
+        "expected invertible intrinsics with focal lengths above 0 and up to 1e9 pixels, found fx {fx:?}, fy {fy:?}, determinant {determinant:?}"
     )]
     Singular {
         /// Pixels.
@@ -66,6 +66,9 @@ pub enum CameraError {
 impl Camera {
     /// Maximum width and height in pixels. Every Vulkan driver that supports 16 Ki images can render it.
     pub const MAX_SIDE: u32 = 16_384;
+
+    /// Maximum focal length in pixels, far beyond every lens.
+    pub const MAX_FOCAL: f64 = 1e9;
 
     /// Creates a camera after validating its name and numbers. `rows` is the 3×3 intrinsic matrix in row-major order.
     ///
@@ -90,7 +93,8 @@ impl Camera {
         let (fx, fy) = (rows[0][0], rows[1][1]);
         let intrinsics = DMat3::from_cols_array_2d(&rows).transpose();
         let determinant = intrinsics.determinant();
-        if !(fx > 0.0 && fy > 0.0 && determinant.abs() > 1e-9) {
+        let is_focal = |focal: f64| focal > 0.0 && focal <= Self::MAX_FOCAL;
+        if !(is_focal(fx) && is_focal(fy) && determinant.is_finite() && determinant.abs() > 1e-9) {
             return Err(CameraError::Singular { fx, fy, determinant });
         }
         Ok(Self { name, width, height, intrinsics, distortion: None })
@@ -162,6 +166,12 @@ mod tests {
         let mut singular = K;
         singular[1] = [0.0, 0.0, 450.0];
         assert!(matches!(camera(singular), Err(CameraError::Singular { .. })));
+        for focal in [1e308, -1e308] {
+            let mut endless = K;
+            endless[0][0] = focal;
+            let message = camera(endless).unwrap_err().to_string();
+            assert!(message.contains(&format!("found fx {focal:?}, fy 1100.0, ")), "{message}");
+        }
         let mut row = K;
         row[2] = [0.0, 0.0, 2.0];
         assert!(matches!(camera(row), Err(CameraError::LastRow(_))));

@@ -61,6 +61,9 @@ pub enum GpuError {
     /// The driver needs more threads than the system allows.
     #[error(transparent)]
     Threads(#[from] crate::threads::ThreadError),
+    /// The limit on the address space leaves too little for a driver.
+    #[error(transparent)]
+    AddressSpace(#[from] crate::memory::MemoryError),
     /// A Vulkan function failed.
     #[error("{call} failed: {source}")]
     Call {

@@ -10,9 +10,13 @@ use super::drivers;
 use super::error::call;
 use super::gate::{self, Calls, Share};
 use super::validation::{LAYER, Messages, messenger_info};
+use crate::memory::{MemoryError, Need, address_space};
 
 /// Layer through which a settings tool forces other layers upon every program.
 const OVERRIDE_LAYER: &CStr = c"VK_LAYER_LUNARG_override";
+
+/// Address space that a driver needs at least (Mesa's lavapipe, measured).
+const DRIVER_BYTES: u64 = 512 << 20;
 
 /// Environment variables through which the loader inserts layers into every program.
 const FORCED_LAYERS: [&str; 2] = ["VK_INSTANCE_LAYERS", "VK_LOADER_LAYERS_ENABLE"];
@@ -32,6 +36,7 @@ pub(super) struct Instance {
 impl Instance {
     /// Opens the loader and creates an instance of Vulkan 1.1.
     pub(super) fn new(validation: bool) -> Result<Self, GpuError> {
+        check_address_space()?;
         let messages = Arc::new(Messages::default());
         let mut instance = Self::open(validation, messages)?;
         if validation {
@@ -105,6 +110,18 @@ impl Instance {
         // SAFETY: the instance is alive.
         let devices = unsafe { self.calls().enumerate_physical_devices() };
         devices.map_err(call("vkEnumeratePhysicalDevices"))
+    }
+}
+
+/// Checks that a driver can be loaded: with less address space, drivers are not found, or fail without a reason.
+fn check_address_space() -> Result<(), GpuError> {
+    match address_space() {
+        Some(available) if available.bytes < DRIVER_BYTES => {
+            let what = "a Vulkan driver".to_owned();
+            let need = Need { what, bytes: DRIVER_BYTES, advice: "raise the limit, or use --rasterizer cpu" };
+            Err(MemoryError { need, available }.into())
+        }
+        _ => Ok(()),
     }
 }
 

@@ -57,10 +57,7 @@ pub fn available() -> Available {
     if let Ok(Some(limit)) = variable_limit() {
         return Available { bytes: limit, source: LimitSource::Variable }.less(taken(&status));
     }
-    let address_space = getrlimit(Resource::As).current.map(|limit| {
-        let used = kib(&status, "VmSize:").unwrap_or(0);
-        Available { bytes: limit, source: LimitSource::AddressSpace }.less(used)
-    });
+    let address_space = address_space_by(&status);
     let group = control_group(&read("/proc/self/cgroup"), Path::new("/sys/fs/cgroup"), &|path| {
         std::fs::read_to_string(path).ok()
     });
@@ -71,6 +68,17 @@ pub fn available() -> Available {
         .into_iter()
         .flatten()
         .fold(unknown, |least, other| if other.bytes < least.bytes { other } else { least })
+}
+
+/// Returns the address space that this process can still take, also for reservations and mapped files; `None` without a limit.
+pub fn address_space() -> Option<Available> {
+    address_space_by(&read("/proc/self/status"))
+}
+
+fn address_space_by(status: &str) -> Option<Available> {
+    let limit = getrlimit(Resource::As).current?;
+    let used = kib(status, "VmSize:").unwrap_or(0);
+    Some(Available { bytes: limit, source: LimitSource::AddressSpace }.less(used))
 }
 
 /// Returns the memory that this process has taken, bytes, without mapped files.

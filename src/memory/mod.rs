@@ -11,7 +11,7 @@ mod available;
 use std::fmt;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
-pub use available::{Available, LimitSource, VARIABLE, available, variable_limit};
+pub use available::{Available, LimitSource, VARIABLE, address_space, available, variable_limit};
 
 use available::taken_bytes;
 

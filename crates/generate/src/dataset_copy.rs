@@ -1,4 +1,4 @@
-//! Writes a copy of a nuScenes data set with other images: files that are not replaced are links to the original.
+//! Copies of a nuScenes data set with other images: files that are not replaced are links to the original.
 
 use std::collections::BTreeMap;
 use std::io::{Cursor, Write};
@@ -44,53 +44,82 @@ struct Replacement<'a> {
     record: &'a ImageRecord,
 }
 
+/// Copy of a data set to be written. Its folder is opened before anything is generated, and locked until it is written.
+#[derive(Debug)]
+pub struct DatasetCopy<'a> {
+    root: &'a Path,
+    target: WholeFolder,
+}
+
 /// Kind of the output folder.
 const KIND: &str = "dataset";
 
-/// Checks that a copy of the data set at `root` may be written to a folder, before anything is generated.
-///
-/// # Errors
-/// Fails if the folder has other files, if it is in the data set or contains it, or if the data set is not a folder.
-pub fn check_dataset_copy(root: &Path, folder: &Path) -> Result<(), FileError> {
-    if !root.is_dir() {
-        return Err(FileError::content("the folder of a data set to copy", "none", root));
-    }
-    let inputs = Inputs::new([root]);
-    check_whole(folder, KIND, &inputs)?;
-    // The copy would contain its own work folder.
-    inputs.check_outside(folder)
-}
-
-/// Checks that the images of a log can be replaced in a copy of the data set at `root`, before anything is generated.
-///
-/// # Errors
-/// Fails if an image is not below `root`, or if its camera is unknown.
-pub fn check_copied_log(root: &Path, log: &Recording) -> Result<(), FileError> {
-    for record in log.frames.iter().flat_map(|frame| &frame.images) {
-        relative(root, &record.path)?;
-        camera_of(log, record, root)?;
-    }
-    Ok(())
-}
-
-/// Writes the images of rollouts of some logs into one copy of the data set at `root`, enlarged to the original size.
-///
-/// # Errors
-/// Fails if a rollout has no generated images at its log's frames, or if a file cannot be read or written.
-pub fn copy_dataset(root: &Path, logs: &[CopiedLog<'_>], folder: &Path) -> Result<ImageCounts, FileError> {
-    check_dataset_copy(root, folder)?;
-    let inputs = Inputs::new([root]).and(logs.iter().map(|copied| copied.rollout));
-    let target = WholeFolder::open(folder, KIND, &inputs)?;
-    let mut by_path = BTreeMap::new();
-    for copied in logs {
-        for new in copied.replacements()? {
-            by_path.insert(relative(root, &new.record.path)?, new);
+impl<'a> DatasetCopy<'a> {
+    /// Opens a folder for a copy of the data set at `root`. `rollout` is a folder that the same run writes, if there is one.
+    ///
+    /// # Errors
+    /// Fails if the folder has other files or cannot be written, if it is in the data set or contains it, if one of folder
+    /// and rollout is in the other, or if the data set is not a folder.
+    pub fn open(root: &'a Path, folder: &Path, rollout: Option<&Path>) -> Result<Self, FileError> {
+        if !root.is_dir() {
+            return Err(FileError::content("the folder of a data set to copy", "none", root));
         }
+        rollout.map_or(Ok(()), |rollout| check_apart(folder, rollout))?;
+        let inputs = Inputs::new([root]);
+        // The copy would contain its own work folder.
+        check_whole(folder, KIND, &inputs).and_then(|()| inputs.check_outside(folder))?;
+        Ok(Self { root, target: WholeFolder::open(folder, KIND, &inputs)? })
     }
-    let frames = logs.iter().flat_map(|copied| &copied.log.frames);
-    let images = frames.map(|frame| frame.images.len()).sum::<usize>();
-    target.write(|whole| mirror(root, whole, Path::new(""), &by_path))?;
-    Ok(ImageCounts { replaced: by_path.len(), kept: images - by_path.len() })
+
+    /// Checks that the images of a log can be replaced.
+    ///
+    /// # Errors
+    /// Fails if an image is not below the data set, or if its camera is unknown.
+    pub fn check(&self, log: &Recording) -> Result<(), FileError> {
+        for record in log.frames.iter().flat_map(|frame| &frame.images) {
+            relative(self.root, &record.path)?;
+            camera_of(log, record, self.root)?;
+        }
+        Ok(())
+    }
+
+    /// Writes the copy with the images of rollouts of some logs, enlarged to the original size.
+    ///
+    /// # Errors
+    /// Fails if a rollout has no generated images at its log's frames, or if a file cannot be read or written.
+    pub fn write(self, logs: &[CopiedLog<'_>]) -> Result<ImageCounts, FileError> {
+        let Self { root, target } = self;
+        let mut by_path = BTreeMap::new();
+        for copied in logs {
+            for new in copied.replacements()? {
+                by_path.insert(relative(root, &new.record.path)?, new);
+            }
+        }
+        let frames = logs.iter().flat_map(|copied| &copied.log.frames);
+        let images = frames.map(|frame| frame.images.len()).sum::<usize>();
+        target.write(|whole| mirror(root, whole, Path::new(""), &by_path))?;
+        Ok(ImageCounts { replaced: by_path.len(), kept: images - by_path.len() })
+    }
+}
+
+/// Checks that neither the folder of a copy nor that of a rollout is in the other. They need not exist.
+fn check_apart(folder: &Path, rollout: &Path) -> Result<(), FileError> {
+    let resolved = |path: &Path| -> std::io::Result<PathBuf> {
+        let path = std::path::absolute(path)?;
+        let there = path.ancestors().find_map(|above| Some((above, above.canonicalize().ok()?)));
+        let rest = |(above, real): (&Path, PathBuf)| Some(real.join(path.strip_prefix(above).ok()?));
+        Ok(there.and_then(rest).unwrap_or(path))
+    };
+    let [copy, other] = [folder, rollout].map(|path| resolved(path).map_err(FileError::io("read", path)));
+    let (copy, other) = (copy?, other?);
+    let found = match (copy.starts_with(&other), other.starts_with(&copy)) {
+        (false, false) => return Ok(()),
+        (true, true) => "the same",
+        (true, false) => "one in it",
+        (false, true) => "one that contains it",
+    };
+    let expected = format!("a folder apart from the output {}", rollout.display());
+    Err(FileError::content(expected, found, folder))
 }
 
 impl<'a> CopiedLog<'a> {

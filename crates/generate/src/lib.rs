@@ -40,7 +40,7 @@ mod window;
 pub use cache::{Cache, CacheError};
 pub use condition::{Condition, DroppedConditions};
 pub use conditioner::{Conditioner, ConditionerError, RenderedConditions};
-pub use dataset_copy::{CopiedLog, ImageCounts, check_copied_log, check_dataset_copy, copy_dataset};
+pub use dataset_copy::{CopiedLog, DatasetCopy, ImageCounts};
 pub use denoiser::{Codec, Denoiser, Frame, GuidedPrediction};
 pub use denoiser_error::DenoiserError;
 pub use drive::{DriveFrame, DriveInfo, TrainingClip};

@@ -20,6 +20,9 @@ use serde::Serialize;
 use super::inputs::PLANES;
 use super::{FilledColor, Network, NetworkConfig, NetworkError, Provenance};
 
+/// Memory of weights and of the kernels' buffers, whatever the size of the images.
+const NETWORK_BYTES: u64 = 64 << 20;
+
 /// Default window of a network process, frames.
 const PROCESS_WINDOW: usize = 4;
 
@@ -275,7 +278,7 @@ impl OpenedNetwork {
         let latents = 4 * (options.window * denoiser.shape().len()) as u64;
         // Generated and ground-truth images.
         let images = 2 * 3 * pixels(*size);
-        let bytes = 4 * (channels as u64 * pixels(recipe.size) + latents) + images;
+        let bytes = NETWORK_BYTES + 4 * (channels as u64 * pixels(recipe.size) + latents) + images;
         let what =
             || format!("a window of {} frames of {cameras} views of {} pixels", options.window, recipe.size);
         let advice = "a recipe of smaller images or a smaller --window needs less";

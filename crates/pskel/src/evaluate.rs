@@ -74,11 +74,12 @@ pub(super) fn run(args: &EvaluateArgs) -> anyhow::Result<()> {
         _ => anyhow::Error::new(error),
     })?;
     drop(progress);
-    out.as_ref().map_or(Ok(()), |out| out.write_json(&report))?;
+    // First of all: the file may fail, and the scores took long.
     say(report.table().trim_end());
     for note in report.notes() {
         tell(&format!("note: {note}"));
     }
+    out.as_ref().map_or(Ok(()), |out| out.write_json(&report))?;
     let seconds = start.elapsed().as_secs_f64();
     let out = out.map_or(String::new(), |out| format!(": {}", out.path().display()));
     say(&format!("{} in {seconds:.2} s{out}", report.summary()));

@@ -1,5 +1,5 @@
 //! `pskel generate`: replays a log frame by frame and generates its images. It runs `pskel simulate` on the log's own
-//! frames; `copy_dataset` writes the images back into a copy of the data set.
+//! frames; [`DatasetCopy`] writes the images back into a copy of the data set.
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -8,7 +8,7 @@ use clap::Args;
 use point_skeleton::dataset::{LogFormat, LogLocator};
 use point_skeleton::scene::EgoOffset;
 use pskel_eval::protocol::ClipClock;
-use pskel_generate::{CopiedLog, check_copied_log, check_dataset_copy, copy_dataset};
+use pskel_generate::{CopiedLog, DatasetCopy};
 use pskel_network::NetworkName;
 
 use super::generator::GeneratorArgs;
@@ -87,16 +87,17 @@ pub(super) fn run(args: GenerateArgs) -> anyhow::Result<()> {
         let message = format!("expected a log nuscenes:.. with --dataset, found {}", args.log);
         return Err(WrongUsage(message).into());
     }
-    if let Some(folder) = &args.dataset {
-        check_dataset_copy(&args.log.path, folder)?;
-        check_copied_log(&args.log.path, args.roots.open(&args.log)?.log())?;
-    }
-    let (log, roots, out, back) =
-        (args.log.clone(), args.roots.clone(), args.out.clone(), args.dataset.clone());
+    let (log, roots, out) = (args.log.clone(), args.roots.clone(), args.out.clone());
+    let open = |folder: PathBuf| -> anyhow::Result<_> {
+        let copy = DatasetCopy::open(&log.path, &folder, Some(&out))?;
+        copy.check(roots.open(&log)?.log())?;
+        Ok((folder, copy))
+    };
+    let copy = args.dataset.clone().map(open).transpose()?;
     simulate::run(args.simulation())?;
-    if let Some(folder) = back {
+    if let Some((folder, copy)) = copy {
         let dataset = roots.open(&log)?;
-        let counts = copy_dataset(&log.path, &[CopiedLog { log: dataset.log(), rollout: &out }], &folder)?;
+        let counts = copy.write(&[CopiedLog { log: dataset.log(), rollout: &out }])?;
         say(&format!("{} images replaced, {} kept: {}", counts.replaced, counts.kept, folder.display()));
     }
     Ok(())

@@ -18,7 +18,7 @@ use point_skeleton::files::{Inputs, OutputFolder, write_json, write_whole};
 use point_skeleton::scene::{SelectionOptions, SubstituteOptions};
 use point_skeleton::skeleton;
 use pskel_eval::protocol::{Clip, Part, PartRollouts, Protocol, ProtocolReport, check_settings};
-use pskel_generate::{CopiedLog, DenoiserRig, check_copied_log, check_dataset_copy, copy_dataset};
+use pskel_generate::{CopiedLog, DatasetCopy, DenoiserRig};
 use pskel_network::NetworkName;
 use pskel_sim::report::ROLLOUT;
 use pskel_sim::{Rates, rollout};
@@ -118,8 +118,8 @@ struct Run<'a> {
     args: &'a ProtocolArgs,
     /// Keeps the tables of a data set between its logs.
     opener: Arc<LogOpener>,
-    /// Folder of the first recording: the data set that is copied.
-    root: PathBuf,
+    /// Copy of the data set, if a part has one.
+    copy: Option<DatasetCopy<'a>>,
     files: &'a OutputFolder,
     /// Number of reference frames of the generator.
     references: usize,
@@ -139,20 +139,17 @@ pub(super) fn run(args: &ProtocolArgs) -> anyhow::Result<()> {
     let parts = args.parts()?;
     let opener = Arc::default();
     let logs = args.logs(&opener)?;
-    let dataset = args.out.join("dataset");
-    if let Some(part) = parts.iter().find(|part| part.copies_dataset) {
-        check_one_dataset(part, &logs)?;
-        check_dataset_copy(&logs[0].path, &dataset)?;
-    }
+    let copied = parts.iter().find(|part| part.copies_dataset);
+    copied.map_or(Ok(()), |part| check_one_dataset(part, &logs))?;
     let files = OutputFolder::open(&args.out, "protocol", &args.inputs(&logs))?;
     files.check(FILES)?;
-    files.folder("dataset")?;
+    let dataset = files.folder("dataset")?;
+    let copy = copied.map(|_| DatasetCopy::open(&logs[0].path, &dataset, None)).transpose()?;
     parts.iter().try_for_each(|part| files.folder(part.name).map(drop))?;
     let references = args.settle(&logs, &opener, &files)?;
     let parts = parts.into_iter().map(|part| PartRollouts { part, folders: Vec::new(), frames: 0 }).collect();
-    let root = logs.first().map(|log| log.path.clone()).unwrap_or_default();
     let (copied, names) = Default::default();
-    let mut run = Run { args, opener, root, files: &files, references, parts, copied, logs: names };
+    let mut run = Run { args, opener, copy, files: &files, references, parts, copied, logs: names };
     let mut failures = 0_usize;
     for locator in &logs {
         if let Err(error) = run.generate(locator) {
@@ -258,9 +255,7 @@ impl Run<'_> {
         let dataset: Rc<dyn Dataset> = logs::open_by(locator, &self.opener)?.into();
         let log = dataset.log();
         anyhow::ensure!(!self.logs.contains(&log.name), "expected each name once, found {} again", log.name);
-        if self.parts.iter().any(|part| part.part.copies_dataset) {
-            check_copied_log(&self.root, log)?;
-        }
+        self.copy.as_ref().map_or(Ok(()), |copy| copy.check(log))?;
         let skeleton = self.args.skeletons.join(&log.name);
         if !skeleton.exists() {
             tell(&format!("building {}", skeleton.display()));
@@ -335,7 +330,7 @@ impl Run<'_> {
     }
 
     /// Scores all rollouts, writes and prints the table, and writes the copy of the data set.
-    fn finish(&self, dataset: &Path) -> anyhow::Result<()> {
+    fn finish(self, dataset: &Path) -> anyhow::Result<()> {
         let progress = RefCell::new(None);
         let mut on_start = |steps| *progress.borrow_mut() = Some(Progress::new(steps));
         let mut on_step =
@@ -352,8 +347,8 @@ impl Run<'_> {
         let logs: Vec<CopiedLog<'_>> = (self.copied.iter())
             .map(|(dataset, rollout)| CopiedLog { log: dataset.log(), rollout })
             .collect();
-        if !logs.is_empty() {
-            let counts = copy_dataset(&self.root, &logs, dataset)?;
+        if let Some(copy) = self.copy.filter(|_| !logs.is_empty()) {
+            let counts = copy.write(&logs)?;
             let place = dataset.display();
             tell(&format!("{} images replaced, {} kept: {place}", counts.replaced, counts.kept));
         }

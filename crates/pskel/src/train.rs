@@ -5,8 +5,8 @@ use std::time::Instant;
 
 use anyhow::Context;
 use clap::Args;
-use point_skeleton::dataset::LogLocator;
-use point_skeleton::files::{FileName, Inputs, own_folder};
+use point_skeleton::dataset::{LogLocator, LogOpener};
+use point_skeleton::files::{FileName, Inputs, is_one_file, own_folder};
 use pskel_eval::loss_plot;
 use pskel_generate::TrainingClip;
 use pskel_network::NetworkConfig;
@@ -92,20 +92,28 @@ pub(super) fn run(args: &TrainArgs) -> anyhow::Result<()> {
     config.check()?;
     TrainOptions { steps: args.steps.max(1), ..options }.check(&config)?;
     let drives = args.drives.clone().map_or_else(|| own_folder(&args.out, "drives"), Ok)?;
+    if args.steps > 0 && is_one_file(&args.out, &drives) {
+        let message = format!("expected two folders for --out and --drives, found {}", drives.display());
+        return Err(WrongUsage(message).into());
+    }
     let record = RecordOptions {
         variants: usize::from(args.variants),
         augment: !args.no_augment,
         rasterizer: args.rasterizer.desc()?,
     };
     let recorder = ClipRecorder { folder: &drives, config: &config, options: &record };
+    let files =
+        RunOptions { checkpoint_steps: args.checkpoint, resume: args.resume, command: args.command() };
     let folder = (args.steps > 0).then(|| TrainingFolder::open(&args.out, &args.inputs())).transpose()?;
+    if let Some(folder) = &folder {
+        folder.check(&config, &options, &files)?;
+        args.check_frames(config.frames)?;
+    }
     let (clips, shares) = args.clips(&recorder)?;
     let frames: usize = clips.iter().map(|clip| clip.frames.len()).sum();
     let seconds = start.elapsed().as_secs_f64();
     say(&format!("{} drives of {frames} frames in {seconds:.2} s: {}", clips.len(), drives.display()));
     let Some(folder) = folder else { return Ok(()) };
-    let files =
-        RunOptions { checkpoint_steps: args.checkpoint, resume: args.resume, command: args.command() };
     let training = folder.start(config, options, files, &clips, shares)?;
     let mut progress = Progress::new(usize::try_from(training.steps_left())?);
     let mut on_step = |report: &StepReport, mean: f64| {
@@ -136,6 +144,22 @@ impl TrainArgs {
             return Ok(());
         }
         Err(WrongUsage(format!("expected {logs} --weights, not all of them 0, found {weights:?}")))
+    }
+
+    /// Checks, before clips are recorded, that each log has as many frames as the windows of the network.
+    fn check_frames(&self, least: usize) -> anyhow::Result<()> {
+        let opener = LogOpener::new();
+        for locator in &self.logs {
+            let outline = logs::outline(&self.roots.locate(locator), &opener);
+            let frames = outline.with_context(|| format!("log {locator}"))?.frames;
+            let left = frames - self.hold_out.map_or(0, |every| frames / usize::from(every));
+            let held = if left < frames { " that are not held out" } else { "" };
+            anyhow::ensure!(
+                left >= least,
+                "expected at least {least} frames{held}, the window of the network, found {left}: log {locator}"
+            );
+        }
+        Ok(())
     }
 
     /// Returns the clips of all logs, in order, and how often each is drawn from.

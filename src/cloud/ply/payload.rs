@@ -35,7 +35,7 @@ struct Place<'a> {
 #[derive(Clone, Copy)]
 struct Value {
     number: f64,
-    /// Bits of a number of 4 bytes.
+    /// Bits of a packed color: those of a number of 4 bytes. A double holds such a float or a whole number, and so does text.
     bits: u32,
 }
 
@@ -113,7 +113,10 @@ impl<'a, R: BufRead> Payload<'a, R> {
             UChar => value(f64::from(self.bytes::<1>(place, big)?[0])),
             Short => value(f64::from(i16::from_le_bytes(self.bytes(place, big)?))),
             UShort => value(f64::from(u16::from_le_bytes(self.bytes(place, big)?))),
-            Double => value(f64::from_le_bytes(self.bytes(place, big)?)),
+            Double => {
+                let number = f64::from_le_bytes(self.bytes(place, big)?);
+                Value { number, bits: packed_bits(number) }
+            }
             Int | UInt | Float => {
                 let bits = u32::from_le_bytes(self.bytes(place, big)?);
                 let number = match scalar {
@@ -207,9 +210,13 @@ fn parse(text: &str, scalar: &ScalarType) -> Option<Value> {
     let range = match scalar {
         ScalarType::Float => {
             let number: f32 = text.parse().ok()?;
-            return Some(Value { number: f64::from(number), bits: number.to_bits() });
+            let bits = packed_bits(text.parse().ok()?);
+            return Some(Value { number: f64::from(number), bits });
         }
-        ScalarType::Double => return Some(Value { number: text.parse().ok()?, bits: 0 }),
+        ScalarType::Double => {
+            let number = text.parse().ok()?;
+            return Some(Value { number, bits: packed_bits(number) });
+        }
         ScalarType::Char => -128.0..=127.0,
         ScalarType::UChar => 0.0..=255.0,
         ScalarType::Short => -32_768.0..=32_767.0,
@@ -219,6 +226,12 @@ fn parse(text: &str, scalar: &ScalarType) -> Option<Value> {
     };
     let number: f64 = text.parse().ok()?;
     (range.contains(&number) && number.fract() == 0.0).then_some(Value { number, bits: number as i64 as u32 })
+}
+
+/// Returns the bits of a packed color `0xAARRGGBB`: a whole number, or the number whose float has these bits.
+fn packed_bits(number: f64) -> u32 {
+    let is_whole = number.fract() == 0.0 && (0.0..=f64::from(u32::MAX)).contains(&number);
+    if is_whole { number as u32 } else { (number as f32).to_bits() }
 }
 
 /// Parses the words for NaN and infinity of C, Python and Microsoft's runtime: `nan`, `-nan(ind)`, `1.#QNAN`, `-1.#IND`,

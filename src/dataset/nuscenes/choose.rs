@@ -89,7 +89,12 @@ pub(super) fn choose_scene<'a>(
     if let (Some(scene), None) = (fitting.next(), fitting.next()) {
         return Ok(scene);
     }
-    let mut names: Vec<String> = scenes.records.iter().map(|s| s.name.clone()).collect();
+    // A name that several scenes have does not select one; a token does.
+    let name = |scene: &Scene| match scenes.records.iter().filter(|other| other.name == scene.name).count() {
+        1 => scene.name.clone(),
+        _ => format!("{} (named {})", scene.token, scene.name),
+    };
+    let mut names: Vec<String> = scenes.records.iter().map(name).collect();
     names.sort();
     Err(DatasetError::Scene { found: wanted.map(Into::into), scenes: names, path: scenes.path.clone() })
 }

@@ -19,7 +19,7 @@ use crate::dataset::{DatasetError, Gap, ImageDistortion, ImageRecord, SweepRecor
 use crate::error::FileError;
 use crate::files::input::DataRoot;
 use crate::files::{FileName, first_twice};
-use crate::geometry::{Camera, Pose};
+use crate::geometry::{Camera, CameraError, Pose};
 
 /// The six cameras in ring order, each next to its neighbors.
 const RING: [&str; 6] =
@@ -234,7 +234,15 @@ impl Sensors {
         };
         let lens = lens(calibrated, sensor, self.distortion, &record, &path)?;
         let camera = Camera::new(&sensor.channel, width, height, rows);
-        let camera = camera.map_err(|source| DatasetError::Camera { source, record, path })?;
+        let camera = camera.map_err(|source| {
+            let (record, path) = match source {
+                CameraError::Size { .. } => {
+                    (format!("sample_data {} ({})", data.token, sensor.channel), self.data.path.clone())
+                }
+                _ => (record, path),
+            };
+            DatasetError::Camera { source, record, path }
+        })?;
         Ok(Camera { distortion: lens.distortion, ..camera })
     }
 }

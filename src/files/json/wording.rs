@@ -45,6 +45,12 @@ pub(super) fn data(error: &serde_json::Error, place: &str) -> String {
         let others = others.replace("expected one of ", "instead of ").replace("expected ", "instead of ");
         return format!("the unknown field {}{place}, {}", quoted(name), others.replace('`', ""));
     }
+    // Messages of this project's own types.
+    if let Some((expected, found)) =
+        text.strip_prefix("expected ").and_then(|rest| rest.split_once(", found "))
+    {
+        return format!("{found} instead of {expected}{place}");
+    }
     format!("{text}{place}")
 }
 

@@ -1,5 +1,6 @@
 //! Errors of building a skeleton.
 
+use std::collections::BTreeMap;
 use std::path::PathBuf;
 
 use crate::dataset::{DatasetError, Gap};
@@ -35,13 +36,18 @@ pub enum BuildError {
     },
     /// No point has a color.
     #[error(
-        "expected at least one point that an image colors, found none in {sweeps} sweeps ({points} points read)"
+        "expected at least one point that an image colors, found none in {sweeps} sweeps ({points} points read) and {images} images{}",
+        listed(notes)
     )]
     Empty {
         /// Number of sweeps read.
         sweeps: usize,
         /// Number of points read.
         points: usize,
+        /// Number of images read.
+        images: usize,
+        /// Numbers of skipped items, by kind.
+        notes: BTreeMap<String, usize>,
     },
     /// No point has finite coordinates.
     #[error("expected points with finite coordinates, found none in {sweeps} sweeps ({points} points read)")]
@@ -70,6 +76,11 @@ pub enum BuildError {
         /// Folder of the unfinished build.
         path: PathBuf,
     },
+}
+
+fn listed(notes: &BTreeMap<String, usize>) -> String {
+    let notes: Vec<String> = notes.iter().map(|(kind, count)| format!("{count} {kind}")).collect();
+    if notes.is_empty() { String::new() } else { printable(&format!(" ({})", notes.join(", "))).into_owned() }
 }
 
 fn first(gap: Option<&Gap>) -> String {

@@ -32,7 +32,8 @@ impl Builder<'_> {
             return Err(BuildError::NotFinite { sweeps: report.sweeps, points: report.points_read });
         }
         if report.background_points == 0 && report.actor_points == 0 {
-            return Err(BuildError::Empty { sweeps: report.sweeps, points: report.points_read });
+            let BuildReport { sweeps, points_read: points, images, notes, .. } = report;
+            return Err(BuildError::Empty { sweeps, points, images, notes });
         }
         let runs = Runs::open(self.work.path(), &self.done.runs)?;
         let cells = self.ordered(runs.cells())?;

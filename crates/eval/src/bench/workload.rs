@@ -7,6 +7,7 @@ use point_skeleton::conditions::{ConditionOptions, ImageSize, MapKind, MapSet};
 use point_skeleton::dataset::{Dataset, Recording};
 use point_skeleton::error::FileError;
 use point_skeleton::geometry::View;
+use point_skeleton::memory::{MemoryError, Need, reserve};
 use point_skeleton::raster::{CloudSet, Crop, FrameJob, Instance, Occlusion};
 use point_skeleton::scene::{
     EgoOffset, SceneClouds, SceneInstances, SceneMap, SceneState, SelectionOptions, Substitutes,
@@ -45,9 +46,16 @@ pub(super) struct WorkFrame {
 
 impl Workload {
     /// Generates a synthetic street with six cameras of 900x1600.
-    pub fn street(points: usize, seed: u64) -> Self {
+    ///
+    /// # Errors
+    /// Fails if the points do not fit into memory.
+    pub fn street(points: usize, seed: u64) -> Result<Self, MemoryError> {
+        let bytes = street::POINT_BYTES.saturating_mul(points as u64);
+        let what = || format!("a street of {points} points");
+        let _points =
+            reserve(bytes, || Need { what: what(), bytes, advice: "fewer points (--synthetic) need less" })?;
         let points = street::street_cloud(points, seed);
-        Self::cloud(PointFile { points, ..PointFile::default() }, street::street_views())
+        Ok(Self::cloud(PointFile { points, ..PointFile::default() }, street::street_views()))
     }
 
     /// Creates a workload of one frame: a cloud and cameras.

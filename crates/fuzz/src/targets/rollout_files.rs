@@ -12,7 +12,7 @@ use point_skeleton::raster::{self, MapKind, MapSet, Rasterizer, RasterizerDesc, 
 use point_skeleton::scene::SceneClouds;
 use point_skeleton::skeleton::Skeleton;
 use pskel_eval::protocol::{PartRollouts, Protocol, ProtocolReport, check_settings};
-use pskel_generate::{CopiedLog, copy_dataset};
+use pskel_generate::{CopiedLog, DatasetCopy};
 use pskel_sim::report::images::StepImages;
 use pskel_sim::rollout::{
     AnyError, GenerationTimes, ImageGenerator, InputPaths, MCAP, ResumeAfter, Rollout, RolloutError,
@@ -220,7 +220,8 @@ fn copy(data: &[u8]) {
         let made = Made::with_images_in(FRAMES, &root.join("data"));
         let logs = [CopiedLog { log: made.log(), rollout: &root.join("rollout") }];
         let place = root.join(COPY);
-        match copy_dataset(&root.join("data"), &logs, &place) {
+        let data = root.join("data");
+        match DatasetCopy::open(&data, &place, None).and_then(|copy| copy.write(&logs)) {
             Err(error) => {
                 told_within(error, root, data);
                 assert!(!place.exists(), "half a copy");

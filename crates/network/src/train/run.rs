@@ -7,8 +7,9 @@ use point_skeleton::files::input::is_there;
 use point_skeleton::files::json::{Difference, difference};
 use point_skeleton::files::{Inputs, OutputFolder};
 use pskel_generate::TrainingClip;
-use serde_json::json;
+use serde_json::{Value, json};
 
+use super::checkpoint;
 use super::losses::{self, recent_loss};
 use super::{StepReport, TrainOptions, Trainer};
 use crate::{NetworkConfig, NetworkError};
@@ -74,6 +75,25 @@ impl TrainingFolder {
         Ok(Self { path: path.to_owned(), files })
     }
 
+    /// Checks, before clips are recorded, that a training that is resumed began with the same options and network.
+    ///
+    /// # Errors
+    /// Fails if it began with others, or if its checkpoint is damaged.
+    pub fn check(
+        &self,
+        config: &NetworkConfig,
+        train: &TrainOptions,
+        options: &RunOptions,
+    ) -> Result<(), NetworkError> {
+        let checkpoint = self.path.join(CHECKPOINT);
+        if !(options.resume && is_there(&checkpoint)?) {
+            return Ok(());
+        }
+        let (header, _) = checkpoint::open(&checkpoint)?;
+        let before = json!({"options": header.options, "network": header.config});
+        check_same(&before, &json!({"options": train, "network": config}), &checkpoint)
+    }
+
     /// Starts or resumes a training on clips, whose windows are drawn with probabilities in the ratio of `shares`.
     ///
     /// # Errors
@@ -106,10 +126,14 @@ fn resume<'c>(
     let trainer = Trainer::resume(checkpoint, clips)?;
     let before =
         json!({"options": trainer.options(), "network": trainer.config(), "shares": trainer.shares()});
-    let now = json!({"options": train, "network": config, "shares": shares});
-    // Only the first difference: all options together are longer than a message.
-    match difference(&before, &now) {
-        None => Ok(trainer),
+    check_same(&before, &json!({"options": train, "network": config, "shares": shares}), checkpoint)?;
+    Ok(trainer)
+}
+
+/// Names only the first difference: all options together are longer than a message.
+fn check_same(before: &Value, now: &Value, checkpoint: &Path) -> Result<(), NetworkError> {
+    match difference(before, now) {
+        None => Ok(()),
         Some(Difference { place, values: [before, now] }) => {
             let expected = format!("the options of the earlier training, {place} {before}");
             Err(FileError::content(expected, now, checkpoint).into())

@@ -134,7 +134,7 @@ impl BenchArgs {
             _ => {
                 let count = self.synthetic.unwrap_or(DEFAULT_POINTS);
                 tell(&format!("making a street of {count} points"));
-                Ok(Workload::street(count, self.seed))
+                Ok(Workload::street(count, self.seed)?)
             }
         }
     }

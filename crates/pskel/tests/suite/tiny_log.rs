@@ -56,7 +56,7 @@ impl TinyLog {
         self.folder.path().join(name)
     }
 
-    fn write_table(&self, table: &str, records: &Value) {
+    pub(crate) fn write_table(&self, table: &str, records: &Value) {
         std::fs::write(self.path(&format!("log/v1.0-mini/{table}.json")), records.to_string()).unwrap();
     }
 

@@ -69,6 +69,11 @@ impl EarlierRollout<'_> {
             return Err(FileError::content(expected, self.steps.to_string(), &path));
         }
         rows.truncate(step + 1);
+        let mut folders = rows.iter().map(|row| step_folder(self.folder, &row.name()));
+        if let Some(gone) = folders.find(|step| !step.is_dir()) {
+            let expected = "the folder of a step to resume after, or a rollout without --resume";
+            return Err(FileError::content(expected, "none", &gone));
+        }
         let saved = SavedState::read(&step_folder(self.folder, &rows[step].name()).join(STATE))?;
         Ok(Some(Earlier { rows, saved }))
     }

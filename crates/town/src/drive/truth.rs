@@ -6,13 +6,14 @@ use glam::DVec3;
 use image::RgbImage;
 use point_skeleton::dataset::{ImageRecord, PosedActor};
 use point_skeleton::geometry::{Pose, View};
+use point_skeleton::memory::{MemoryError, Need, Reservation, reserve};
 
 use super::error::TownError;
 use super::record::seconds;
 use super::renderer::{Figure, TownRenderer};
 use super::town::Town;
 use crate::plan::Actor;
-use crate::view::GroundTruthView;
+use crate::view::{GroundTruthView, MeshRenderError};
 
 impl Town {
     /// Renders views at a time: images and ground-truth maps. The views' world is the global frame. Instance numbers
@@ -87,6 +88,7 @@ impl Town {
     fn film(&self, t_us: i64, figures: &[Figure], views: &[View]) -> Result<Vec<GroundTruthView>, TownError> {
         let mut film = self.film.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
         if film.is_none() {
+            let _meshes = reserve_meshes().map_err(MeshRenderError::from)?;
             *film = Some(TownRenderer::new(self.meshes(), &self.options)?);
         }
         let Some(film) = film.as_mut() else { return Ok(Vec::new()) };
@@ -99,6 +101,12 @@ impl Town {
         let camera_from_world = view.camera_from_world * self.global_from_town.affine();
         View { camera: view.camera.clone(), camera_from_world }
     }
+}
+
+/// Reserves the memory of the town's meshes and of their renderer, which no option changes.
+fn reserve_meshes() -> Result<Reservation, MemoryError> {
+    const BYTES: u64 = 512 << 20;
+    reserve(BYTES, || Need { what: "the town".to_owned(), bytes: BYTES, advice: "no option needs less" })
 }
 
 fn view_of(record: &ImageRecord) -> View {

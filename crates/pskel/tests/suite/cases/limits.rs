@@ -264,3 +264,70 @@ fn recipes_of_huge_images_are_refused_with_the_number() {
         assert_failed(&output, 1, &[needs, "limited by PSKEL_MEMORY"]);
     }
 }
+
+/// Creates a file of a declared size that takes no space on the disk.
+fn write_sparse(log: &TinyLog, name: &str, header: &[u8], bytes: u64) {
+    std::fs::write(log.path(name), header).unwrap();
+    let file = std::fs::File::options().write(true).open(log.path(name)).unwrap();
+    file.set_len(header.len() as u64 + bytes).unwrap();
+}
+
+fn npy_header(kind: &str, rows: u64, columns: u64) -> Vec<u8> {
+    let text = format!("{{'descr': '{kind}', 'fortran_order': False, 'shape': ({rows}, {columns}), }}\n");
+    [b"\x93NUMPY\x01\x00", &(text.len() as u16).to_le_bytes()[..], text.as_bytes()].concat()
+}
+
+/// Sizes that sparse files and options declare, under `ulimit -v` and with both numbers in one line.
+#[test]
+fn declared_sizes_are_compared_with_the_address_space() {
+    let log = log_with_skeleton();
+    write_cameras(&log, 1, 64);
+    write_sparse(&log, "a.npy", &npy_header("<f8", 500_000_000, 6), 500_000_000 * 48);
+    let ply = "ply\nformat binary_little_endian 1.0\nelement vertex 1000000000\nproperty float x\nproperty float y\n\
+        property float z\nend_header\n";
+    write_sparse(&log, "a.ply", ply.as_bytes(), 12_000_000_000);
+    write_sparse(&log, "features.npy", &npy_header("<f4", 1_000_000, 10_000), 40_000_000_000);
+    write_sparse(&log, "wide.npy", &npy_header("<f4", 20_000, 10_000), 800_000_000);
+    let generate = format!(
+        "generate {LOG} --skeleton sk --every 1 --generator fill --window 2 --maps color,depth,class --rasterizer cpu \
+         --out rollout"
+    );
+    let output = log.run(&generate);
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let cloud = "a cloud of 500000000 points needs 7.5 GiB of memory, but ";
+    let splat = "splat --cameras cameras.json --rasterizer cpu --out f.npz --points";
+    for (kib, args, need) in [
+        (4_000_000, format!("{splat} a.npy"), cloud),
+        (4_000_000, "convert a.npy --out b.ply".to_owned(), cloud),
+        (4_000_000, "info a.npy".to_owned(), cloud),
+        (4_000_000, format!("{splat} a.ply"), "a cloud of 1000000000 points needs 14.9 GiB of memory, but "),
+        (4_000_000, "bench --synthetic 4e9".to_owned(), "a street of 4000000000 points needs 89.4 GiB"),
+        (
+            4_000_000,
+            "evaluate rollout --features features.npy features.npy".to_owned(),
+            "features of 1000000 rows of 10000 numbers needs 111.8 GiB",
+        ),
+        (
+            4_000_000,
+            "evaluate rollout --features wide.npy wide.npy".to_owned(),
+            "features of 20000 rows of 10000 numbers needs 2.2 GiB",
+        ),
+        (60_000, format!("info {LOG}"), "every command needs 40.0 MiB of memory, but "),
+        (
+            500_000,
+            "town --frames 1 --size 28x50 --out out/town".to_owned(),
+            " needs 512.0 MiB of memory, but ",
+        ),
+        (
+            400_000,
+            format!("render {LOG} --skeleton sk --out out/maps --rasterizer compute"),
+            "a Vulkan driver needs 512.0 MiB of memory, but ",
+        ),
+    ] {
+        let output = run_within_time(&log.path(""), &format!("ulimit -v {kib}; exec {PSKEL} {args}"));
+        assert_failed(&output, 1, &[need, "limited by ulimit -v"]);
+        let stderr = String::from_utf8_lossy(&output.stderr);
+        assert_eq!(stderr.lines().filter(|line| !line.starts_with('[')).count(), 1, "{args}: {stderr}");
+        assert_eq!(std::fs::read_dir(log.path("out")).unwrap().count(), 0, "{args}");
+    }
+}

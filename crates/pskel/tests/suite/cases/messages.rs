@@ -292,3 +292,62 @@ fn drivers_of_the_environment_are_named() {
         assert_failed(&output, 1, &[&found]);
     }
 }
+
+#[test]
+fn sizes_and_focal_lengths_are_blamed_on_their_record() {
+    let log = TinyLog::new();
+    log.change("sample_data", "/1/width", json!(20_000));
+    let (code, text) = info(&log);
+    assert!(code == 1 && text.contains("sample_data.json"), "{text}");
+    assert!(text.contains(" in sample_data ") && !text.contains("calibrated_sensor"), "{text}");
+    for focal in [-1e308, 1e308] {
+        let log = TinyLog::new();
+        log.change("calibrated_sensor", "/1/camera_intrinsic/0/0", json!(focal));
+        let (code, text) = info(&log);
+        let found = format!("focal lengths above 0 and up to 1e9 pixels, found fx {focal:?}, fy ");
+        assert!(code == 1 && text.contains(&found) && text.contains("calibrated_sensor.json"), "{text}");
+    }
+}
+
+#[test]
+fn scenes_of_one_name_are_told_apart_by_their_tokens() {
+    let log = TinyLog::new();
+    let mut scenes = log.json("log/v1.0-mini/scene.json");
+    let mut other = scenes[0].clone();
+    other["token"] = json!("other");
+    let token = scenes[0]["token"].as_str().unwrap().to_owned();
+    scenes.as_array_mut().unwrap().push(other);
+    log.write_table("scene", &scenes);
+    let output = log.run("info nuscenes:log#tiny");
+    let names =
+        format!("expected #SCENE to name one of other (named tiny), {token} (named tiny), found tiny");
+    assert_failed(&output, 1, &[&names]);
+    assert!(log.run(&format!("info nuscenes:log#{token}")).status.success());
+}
+
+#[test]
+fn values_of_recipes_and_large_maps_are_named() {
+    let log = TinyLog::new();
+    log.succeed("build nuscenes:log --out sk");
+    std::fs::write(log.path("recipe.json"), r#"{"size": "1600"}"#).unwrap();
+    let output = log.run(
+        "generate nuscenes:log --skeleton sk --out new --generator fill --recipe recipe.json --maps color --rasterizer cpu",
+    );
+    let found = r#"expected a recipe of conditions, found "1600" instead of a size HxW of 1 to 16384 pixels, like 256x448 in size"#;
+    assert_failed(&output, 1, &[found, "recipe.json"]);
+    let mut render = Command::new(PSKEL);
+    render.current_dir(log.path("")).env("PSKEL_MEMORY", "1G");
+    render.args(
+        "render nuscenes:log --skeleton sk --out new --out-size 16384x16384 --rasterizer cpu".split(' '),
+    );
+    let output = render.output().unwrap();
+    assert_failed(&output, 1, &["pixels for maps of 16384x16384 needs ", " GiB of memory"]);
+    // The images, which are all of another size, are the reason.
+    for record in 0..3 * 3 {
+        for side in ["width", "height"] {
+            log.change("sample_data", &format!("/{record}/{side}"), json!(1600));
+        }
+    }
+    let output = log.run("build nuscenes:log --out new");
+    assert_failed(&output, 1, &["that an image colors", "and 0 images (6 damaged image files"]);
+}

@@ -3,6 +3,7 @@
 
 mod clocks;
 mod columns;
+mod early;
 mod folders;
 mod gaps;
 mod limits;

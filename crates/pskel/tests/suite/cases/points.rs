@@ -226,6 +226,16 @@ fn ply_colors_are_found_by_other_names_and_missing_ones_are_noted() {
         ),
         (three("float", ["red_f", "green_f", "blue_f"]), "1 0.5 0", [255, 128, 0], "scaled to 0 to 255"),
         (vec![("float", "rgb")], packed.as_str(), [255, 128, 0], "colors from the bits of rgb"),
+        (vec![("float", "rgb")], "16744448", [255, 128, 0], "colors from the bits of rgb"),
+        (vec![("float", "rgb")], "4294934528", [255, 128, 0], "colors from the bits of rgb"),
+        (vec![("double", "rgb")], packed.as_str(), [255, 128, 0], "colors from the bits of rgb"),
+        (vec![("double", "rgb")], "16744448", [255, 128, 0], "colors from the bits of rgb"),
+        (
+            three("float", ["red", "green", "blue"]),
+            "nan 0.5 -1e-9",
+            [0, 128, 0],
+            "colors of 1 of 1 points are not finite or just beyond 0 to 1: black, or the nearest level",
+        ),
         (vec![("uint", "rgba")], "4294934528", [255, 128, 0], "colors from the bits of rgba"),
         (
             three("ushort", ["red", "green", "blue"]),
@@ -248,6 +258,21 @@ fn ply_colors_are_found_by_other_names_and_missing_ones_are_noted() {
         let at = maps.point.iter().position(|number| *number == 1).unwrap();
         assert_eq!(maps.color[3 * at..3 * at + 3], rgb, "{properties:?}");
         assert!(notes.contains(note) && notes.is_empty() == note.is_empty(), "{properties:?}: {notes}");
+    }
+}
+
+#[test]
+fn packed_colors_are_found_in_binary_doubles() {
+    let case = Case::empty();
+    case.write_camera([0.0; 3]);
+    for rgb in [f64::from(f32::from_bits(0x00ff_8000)), f64::from(0x00ff_8000)] {
+        let header = text_ply(&[("double", "rgb")], "").replace("ascii", "binary_little_endian");
+        let (header, _) = header.split_once("0 0 5").unwrap();
+        let position = [0.0_f32, 0.0, 5.0].map(f32::to_le_bytes);
+        case.write("p.ply", [header.as_bytes(), position.as_flattened(), &rgb.to_le_bytes()].concat());
+        let (maps, _) = case.splat("p.ply");
+        let at = maps.point.iter().position(|number| *number == 1).unwrap();
+        assert_eq!(maps.color[3 * at..3 * at + 3], [255, 128, 0], "{rgb}");
     }
 }
 
