@@ -10,6 +10,7 @@ mod maps;
 mod messages;
 mod outputs;
 mod points;
+mod sweeps;
 mod words;
 
 use std::path::Path;
