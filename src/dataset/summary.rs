@@ -183,9 +183,6 @@ fn contents(
                 for (kind, count) in sweep.notes {
                     *notes.entry(kind).or_default() += count;
                 }
-                let merged = usize::from(sweep.devices);
-                *notes.entry("sweeps of merged LiDARs (--ring-is beam if not)".to_owned()).or_default() +=
-                    merged;
                 *notes.entry("points with coordinates that are not finite".to_owned()).or_default() +=
                     sweep.dropped_non_finite;
             }

@@ -25,11 +25,13 @@ pub use place::SIMGEN;
 
 pub use place::expand;
 
+use std::path::Path;
+
 use super::{
-    Dataset, DatasetError, ImageRecord, LogLocator, Recording, RingMeaning, Sweep, SweepRecord, VectorMap,
-    read_picture,
+    Dataset, DatasetError, ImageRecord, LogLocator, Recording, Sweep, SweepRecord, VectorMap, read_picture,
 };
-use crate::dataset::sweeps::pcd::parse_pcd_as;
+use crate::dataset::sweeps::RingDecision;
+use crate::dataset::sweeps::pcd::pcd_rows;
 use crate::error::FileError;
 use crate::files::input::{SWEEP_BYTES, read_file};
 
@@ -39,7 +41,7 @@ pub struct NuPlan {
     log: Recording,
     place: place::LogPaths,
     map_name: String,
-    rings: RingMeaning,
+    rings: RingDecision,
 }
 
 impl NuPlan {
@@ -55,7 +57,7 @@ impl NuPlan {
         let locator = place::single(locator)?;
         let place = place::LogPaths::new(&locator)?;
         let (log, map_name) = read::read(&place, locator.scene.as_deref(), &locator.reading)?;
-        Ok(Self { log, place, map_name, rings: locator.reading.rings })
+        Ok(Self { log, place, map_name, rings: RingDecision::new(locator.reading.rings) })
     }
 }
 
@@ -65,8 +67,8 @@ impl Dataset for NuPlan {
     }
 
     fn read_sweep(&self, record: &SweepRecord) -> Result<Sweep, DatasetError> {
-        let bytes = read_file(&record.path, SWEEP_BYTES)?;
-        Ok(parse_pcd_as(&bytes, self.rings, &record.path)?)
+        let rows = |path: &Path| pcd_rows(&read_file(path, SWEEP_BYTES)?, path);
+        Ok(self.rings.read(&self.log, &record.path, rows)?)
     }
 
     fn check_sweep(&self, record: &SweepRecord) -> Result<Option<u64>, DatasetError> {

@@ -33,9 +33,9 @@ pub use write_map::{MapLayers, RoadSegment, write_map};
 use std::path::PathBuf;
 
 use super::limits::check_roots;
+use super::sweeps::RingDecision;
 use super::{
-    Dataset, DatasetError, ImageRecord, LogLocator, Recording, RingMeaning, Sweep, SweepRecord, VectorMap,
-    read_picture,
+    Dataset, DatasetError, ImageRecord, LogLocator, Recording, Sweep, SweepRecord, VectorMap, read_picture,
 };
 use crate::files::input::DataRoot;
 
@@ -47,7 +47,7 @@ pub struct NuScenes {
     root: PathBuf,
     /// Folder of maps, if not the default one.
     map_root: Option<PathBuf>,
-    rings: RingMeaning,
+    rings: RingDecision,
 }
 
 impl NuScenes {
@@ -73,7 +73,7 @@ impl NuScenes {
         let sensors = DataRoot { path: sensors, allow_outside: locator.allow_outside };
         let (log, box_points) = read::read(&sensors, version, locator.scene.as_deref(), &locator.reading)?;
         let (root, map_root) = (locator.path.clone(), locator.map_root.clone());
-        Ok(Self { log, box_points, root, map_root, rings: locator.reading.rings })
+        Ok(Self { log, box_points, root, map_root, rings: RingDecision::new(locator.reading.rings) })
     }
 }
 
@@ -83,7 +83,7 @@ impl Dataset for NuScenes {
     }
 
     fn read_sweep(&self, record: &SweepRecord) -> Result<Sweep, DatasetError> {
-        Ok(sweep::read_as(&record.path, self.rings)?)
+        Ok(self.rings.read(&self.log, &record.path, sweep::read_rows)?)
     }
 
     fn check_sweep(&self, record: &SweepRecord) -> Result<Option<u64>, DatasetError> {

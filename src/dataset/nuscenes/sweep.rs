@@ -1,14 +1,15 @@
 //! Sweep files: `.pcd.bin` files are rows of five little-endian `f32` without a header: x, y, z (meters, LiDAR frame),
 //! intensity, ring. Other data sets in this layout have PCD files, or no rings.
 
-use std::io::{Read, Write};
+use std::io::Write;
+use std::os::unix::fs::FileExt;
 use std::path::Path;
 
-use crate::dataset::sweeps::pcd::{check_pcd, parse_pcd_as};
-use crate::dataset::sweeps::{HEAD_BYTES, SweepRow, SweepRows, columns, is_pcd, named_format};
+use crate::dataset::sweeps::pcd::{check_pcd, pcd_rows};
+use crate::dataset::sweeps::{HEAD_BYTES, ReadAt, SweepRow, SweepRows, columns, is_pcd, named_format};
 use crate::dataset::{RingMeaning, Sweep, SweepPoint};
 use crate::error::FileError;
-use crate::files::input::{SWEEP_BYTES, open_regular, read_file};
+use crate::files::input::{SWEEP_BYTES, open_up_to, read_file};
 use crate::files::write_whole;
 
 /// Bytes per point in a `.pcd.bin` file.
@@ -21,17 +22,17 @@ const NO_RING: &str = "sweeps of four columns (x y z intensity), without rings";
 /// name.
 ///
 /// # Errors
-/// Fails if the file is missing or empty, or has another format or layout.
+/// Fails if the file is missing or empty, has another format or layout, or no point with finite coordinates.
 pub fn read_sweep_file(path: &Path) -> Result<Sweep, FileError> {
-    read_as(path, RingMeaning::Auto)
+    read_rows(path)?.finish(RingMeaning::Auto, path)
 }
 
-/// Reads a sweep file with a meaning of its rings.
+/// Reads the points of a sweep file.
 ///
 /// # Errors
-/// Fails as [`read_sweep_file`].
-pub(super) fn read_as(path: &Path, meaning: RingMeaning) -> Result<Sweep, FileError> {
-    parse_as(&read_file(path, SWEEP_BYTES)?, meaning, path)
+/// Fails as [`read_sweep_file`], except that points may be missing.
+pub(super) fn read_rows(path: &Path) -> Result<SweepRows, FileError> {
+    parse_rows(&read_file(path, SWEEP_BYTES)?, path)
 }
 
 /// Parses the bytes of a sweep file; `path` is for messages. Drops and counts points with a NaN or infinite
@@ -40,14 +41,16 @@ pub(super) fn read_as(path: &Path, meaning: RingMeaning) -> Result<Sweep, FileEr
 /// # Errors
 /// Fails as [`read_sweep_file`].
 pub fn parse_sweep(bytes: &[u8], path: &Path) -> Result<Sweep, FileError> {
-    parse_as(bytes, RingMeaning::Auto, path)
+    parse_rows(bytes, path)?.finish(RingMeaning::Auto, path)
 }
 
-fn parse_as(bytes: &[u8], meaning: RingMeaning, path: &Path) -> Result<Sweep, FileError> {
+fn parse_rows(bytes: &[u8], path: &Path) -> Result<SweepRows, FileError> {
     if is_pcd(bytes) {
-        return parse_pcd_as(bytes, meaning, path);
+        return pcd_rows(bytes, path);
     }
-    let columns = rows(bytes, bytes.len() as u64, path)?;
+    // The layout asks for bytes within the file only.
+    let read = |start: u64, length: usize| Ok(bytes[start as usize..start as usize + length].to_vec());
+    let columns = columns_of(bytes, &read, bytes.len() as u64, path)?;
     let mut sweep = SweepRows::with_capacity(bytes.len() / (4 * columns));
     for row in bytes.chunks_exact(4 * columns) {
         let (numbers, _) = row.as_chunks::<4>();
@@ -55,36 +58,38 @@ fn parse_as(bytes: &[u8], meaning: RingMeaning, path: &Path) -> Result<Sweep, Fi
         let (position, intensity, ring) = ([value(0), value(1), value(2)], value(3), f64::from(value(4)));
         sweep.push(SweepRow { position, intensity, ring, device: None });
     }
-    let mut sweep = sweep.finish(meaning);
     if 4 * columns != POINT_BYTES {
-        sweep.notes.insert(NO_RING.to_owned(), 1);
+        sweep.note(NO_RING);
     }
     Ok(sweep)
 }
 
-/// Returns the number of columns of rows without a header, from the start of a file of `length` bytes.
-fn rows(head: &[u8], length: u64, path: &Path) -> Result<usize, FileError> {
+/// Returns the number of columns of rows without a header, in a file of `length` bytes that begins with `head`.
+fn columns_of(head: &[u8], read: &ReadAt<'_>, length: u64, path: &Path) -> Result<usize, FileError> {
     if let Some(found) = named_format(head) {
         let expected = "rows of floats (x y z intensity ring) or a PCD file";
         return Err(FileError::content(expected, found, path));
     }
-    columns(head, length, path)
+    columns(read, length, path)
 }
 
-/// Returns the number of points in a file from its size and its start.
+/// Returns the number of points in a file from its size and parts of it.
 ///
 /// # Errors
 /// Fails as [`read_sweep_file`], except for errors in the points themselves.
 pub(super) fn check(path: &Path) -> Result<u64, FileError> {
-    let (file, length) = open_regular(path)?;
-    let mut head = Vec::new();
+    let (file, length) = open_up_to(path, SWEEP_BYTES)?;
+    let read = |start: u64, length: usize| {
+        let mut bytes = vec![0; length];
+        file.read_exact_at(&mut bytes, start).map_err(FileError::io("read", path))?;
+        Ok(bytes)
+    };
     // The lengths of compressed points follow the longest header.
-    let limit = HEAD_BYTES as u64 + 8;
-    file.take(limit).read_to_end(&mut head).map_err(FileError::io("read", path))?;
+    let head = read(0, length.min(HEAD_BYTES as u64 + 8) as usize)?;
     if is_pcd(&head) {
         return check_pcd(&head, length, path);
     }
-    Ok(length / (4 * rows(&head, length, path)? as u64))
+    Ok(length / (4 * columns_of(&head, &read, length, path)? as u64))
 }
 
 /// Writes a `.pcd.bin` file.

@@ -27,9 +27,11 @@ fn is_pcd_comment(head: &[u8]) -> bool {
 /// Returns the name of a format that is not a sweep's, for messages; `None` if the bytes may be numbers: short marks also
 /// occur as coordinates.
 pub(in crate::dataset) fn named_format(bytes: &[u8]) -> Option<String> {
+    let bytes = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes);
     let first = bytes.first_chunk().map(|b| f32::from_le_bytes(*b));
     let may_be_first = first.is_none_or(|v| v == 0.0 || COORDINATES_M.contains(&v.abs()));
-    if may_be_first && !sniff::has_long_mark(bytes) { None } else { sniff::described(bytes) }
+    let is_marked = || sniff::marked(bytes).is_some();
+    if may_be_first && !sniff::has_long_mark(bytes) && is_marked() { None } else { sniff::described(bytes) }
 }
 
 #[cfg(test)]
@@ -45,6 +47,9 @@ mod tests {
             (b"\x1f\x8b\x08\x00", "gzip-compressed data"),
             (b"\x89MCAP0\r\n", "an MCAP file"),
             (b"1.0 2.0 3.0 4.0 5.0\n1.5 2.0 3.0 4.0 5.0\n", "text that begins with"),
+            // Such bytes are also those of a small number.
+            (b"404: File not found\n", "text that begins with \"404: File not found\""),
+            (b"\xef\xbb\xbf404: Not Found", "text that begins with \"404: Not Found\""),
         ] {
             let found = named_format(bytes).unwrap();
             assert!(found.starts_with(name), "{found}");

@@ -2,21 +2,25 @@
 //!
 //! # How it works
 //! A column has values of one kind: of both signs, whole, large. So the kinds repeat with the number of columns as
-//! their period. With any other period, each column is a mixture of all kinds. Numbers of another type, read as
-//! floats, are of absurd sizes.
+//! their period. With any other period, each column is a mixture of all kinds. Rows of one value (zeros in place of
+//! returns) are left out, and the others come from the whole file (`sample`). `multiples` tells wide rows from several
+//! points. Numbers of another type, read as floats, are of absurd sizes.
 
 use std::path::Path;
 
+use super::multiples::multiple;
+use super::sample::{ReadAt, Sample, is_uniform};
 use crate::error::FileError;
+use crate::files::sniff;
 
-/// Bytes at the start of a file from which its layout is determined.
+/// Bytes at the start of a file in which a header is looked for.
 pub(in crate::dataset) const HEAD_BYTES: usize = 1 << 16;
 
 /// Columns of a sweep in nuScenes layout: x, y, z, intensity, ring.
 const COLUMNS: usize = 5;
 /// Columns of a sweep without rings, as in KITTI.
 const WITHOUT_RING: usize = 4;
-/// Other numbers of columns that are recognized. Multiples of five are not told from five.
+/// Numbers of columns that are recognized, apart from multiples of four and five.
 const PERIODS: [usize; 7] = [3, 4, 5, 6, 7, 8, 9];
 /// Minimum number of values for a judgement.
 const MIN_VALUES: usize = 320;
@@ -37,46 +41,70 @@ const POSSIBLE: f64 = 0.5;
 
 const EXPECTED: &str = "rows of 5 little-endian floats of 4 bytes (x y z intensity ring)";
 
-/// Returns the number of `f32` columns in a file of `length` bytes, 5 or 4, from its first [`HEAD_BYTES`] at most.
+/// Returns the number of `f32` columns in a file of `length` bytes, 5 or 4, from parts of it, or all of it if these say too
+/// little.
 ///
 /// # Errors
-/// Fails if the file is empty, its values have another layout or type, or its length is not a number of rows.
-pub(in crate::dataset) fn columns(head: &[u8], length: u64, path: &Path) -> Result<usize, FileError> {
+/// Fails if the file is empty or has one value only, its values have another layout or type or do not tell, or its
+/// length is not a number of rows. Returns any error of `read`.
+pub(in crate::dataset) fn columns(read: &ReadAt<'_>, length: u64, path: &Path) -> Result<usize, FileError> {
     if length == 0 {
         return Err(FileError::content("at least one point of 20 bytes", "an empty file", path));
     }
-    let head = &head[..head.len().min(HEAD_BYTES)];
-    let values: Vec<f32> = head.as_chunks::<4>().0.iter().map(|bytes| f32::from_le_bytes(*bytes)).collect();
-    let is_judged = values.len() >= MIN_VALUES;
-    if let Some(found) = other_type(head, &values).filter(|_| is_judged) {
-        return Err(FileError::content(EXPECTED, found, path));
+    let wrong = |found: String| Err(FileError::content(EXPECTED, found, path));
+    let is_told = |sample: &Sample| sample.rows(COLUMNS).count() * COLUMNS >= MIN_VALUES;
+    let mut sample = Sample::spread(read, length)?;
+    if !sample.is_whole && !is_told(&sample) {
+        sample = Sample::whole(read, length)?;
     }
-    let found = if is_judged { period(&values) } else { COLUMNS };
+    let values: Vec<u32> = sample.words().collect();
+    if let Some(found) = single_value(&values, length) {
+        return wrong(found);
+    }
+    // Few rows are judged by their length.
+    let is_judged = values.len() >= MIN_VALUES;
+    if let Some(found) = other_type(&sample).filter(|_| is_judged) {
+        return wrong(found);
+    }
+    let found = if is_judged { period(&sample).filter(|_| is_told(&sample)) } else { Some(COLUMNS) };
     let is_whole = |columns: usize| length.is_multiple_of(4 * columns as u64);
     match found {
-        COLUMNS if is_whole(COLUMNS) => Ok(COLUMNS),
-        WITHOUT_RING if is_whole(WITHOUT_RING) => Ok(WITHOUT_RING),
-        COLUMNS => {
+        None => wrong(format!("{length} bytes whose values do not tell the number of columns")),
+        Some(COLUMNS) if is_whole(COLUMNS) => Ok(COLUMNS),
+        Some(WITHOUT_RING) if is_whole(WITHOUT_RING) => Ok(WITHOUT_RING),
+        Some(COLUMNS) => {
             let expected = "a multiple of 20 bytes (x y z intensity ring as f32)";
             Err(FileError::content(expected, format!("{length} bytes"), path))
         }
-        other => {
-            let found = format!("values that repeat every {other} floats, in {length} bytes");
-            Err(FileError::content(EXPECTED, found, path))
-        }
+        Some(other) => wrong(format!("values that repeat every {other} floats, in {length} bytes")),
     }
 }
 
-/// Returns the number of columns: [`COLUMNS`] unless another one is certain.
-fn period(values: &[f32]) -> usize {
-    let shares = PERIODS.map(|columns| explained(values, columns));
-    let best = shares.into_iter().fold(0.0, f64::max);
-    let own = PERIODS.iter().position(|columns| *columns == COLUMNS).map_or(0.0, |i| shares[i]);
-    if best < CLEAR_SHARE || best < CLEAR_RATIO * own {
-        return COLUMNS;
+/// Names the content of a file in which nothing but one value occurs; `None` for others.
+fn single_value(values: &[u32], length: u64) -> Option<String> {
+    let value = *values.first().filter(|_| is_uniform(values))?;
+    let zeros = || sniff::marked(&[0; sniff::HEAD_BYTES]).map(str::to_owned);
+    let other = || Some(format!("nothing but the value {} in {length} bytes", f32::from_bits(value)));
+    match value {
+        0 if length.is_multiple_of(4) => zeros(),
+        0 => None,
+        _ => other().filter(|_| values.len() >= MIN_VALUES),
     }
+}
+
+/// Returns the number of columns: [`COLUMNS`] unless another one is certain; `None` if there are no columns.
+fn period(sample: &Sample) -> Option<usize> {
+    let shares = PERIODS.map(|columns| explained(sample, columns));
+    let best = shares.into_iter().fold(0.0, f64::max);
+    if best < CLEAR_SHARE {
+        return None;
+    }
+    let own = PERIODS.iter().position(|columns| *columns == COLUMNS).map_or(0.0, |i| shares[i]);
     let fitting = PERIODS.iter().zip(shares).find(|(_, share)| *share >= SAME_SHARE * best);
-    fitting.map_or(COLUMNS, |(columns, _)| *columns)
+    let is_own = best < CLEAR_RATIO * own;
+    let columns = fitting.map_or(COLUMNS, |(columns, _)| if is_own { COLUMNS } else { *columns });
+    let is_read = [COLUMNS, WITHOUT_RING].contains(&columns);
+    Some(multiple(sample, columns).filter(|_| is_read).unwrap_or(columns))
 }
 
 /// Properties that tell columns apart.
@@ -87,40 +115,38 @@ fn traits(value: f32) -> [f64; 4] {
 }
 
 /// Returns the share of the differences in traits that are differences between columns, 0 to 1.
-fn explained(values: &[f32], columns: usize) -> f64 {
+fn explained(sample: &Sample, columns: usize) -> f64 {
     let mut sums = vec![[0.0; 4]; columns];
-    let mut counts = vec![0.0; columns];
-    let (mut sum, mut squares) = ([0.0; 4], [0.0; 4]);
-    for (i, value) in values.iter().enumerate() {
-        counts[i % columns] += 1.0;
-        for (t, value) in traits(*value).into_iter().enumerate() {
-            sums[i % columns][t] += value;
-            sum[t] += value;
-            squares[t] += value * value;
+    let (mut rows, mut squares) = (0.0, [0.0; 4]);
+    for row in sample.rows(columns) {
+        rows += 1.0;
+        for (sum, word) in sums.iter_mut().zip(row) {
+            for (t, value) in traits(f32::from_bits(*word)).into_iter().enumerate() {
+                sum[t] += value;
+                squares[t] += value * value;
+            }
         }
     }
-    let count = values.len() as f64;
+    let count = rows * columns as f64;
     let (mut between, mut all) = (0.0, 0.0);
     for t in 0..4 {
-        let mean = sum[t] / count;
+        let mean = sums.iter().map(|sum| sum[t]).sum::<f64>() / count;
         all += squares[t] / count - mean * mean;
-        let of_column = |(sums, n): (&[f64; 4], &f64)| n / count * (sums[t] / n - mean).powi(2);
-        between += sums.iter().zip(&counts).map(of_column).sum::<f64>();
+        between += sums.iter().map(|sum| (sum[t] / rows - mean).powi(2)).sum::<f64>() / columns as f64;
     }
     if all > 1e-9 { between / all } else { 0.0 }
 }
 
 /// Returns the type of the numbers if it is certainly not little-endian `f32`.
-fn other_type(head: &[u8], values: &[f32]) -> Option<String> {
-    let floats = plausible(values.iter().map(|v| f64::from(*v)), PLAUSIBLE);
+fn other_type(sample: &Sample) -> Option<String> {
+    let floats = plausible(sample.words().map(|bits| f64::from(f32::from_bits(bits))), PLAUSIBLE);
     if floats >= FLOATS {
         return None;
     }
-    let words = || head.as_chunks::<4>().0.iter();
-    let doubles = head.as_chunks::<8>().0.iter().map(|bytes| f64::from_le_bytes(*bytes));
-    let big = words().map(|bytes| f64::from(f32::from_be_bytes(*bytes)));
-    let integers = words().map(|bytes| f64::from(i32::from_le_bytes(*bytes)));
-    if plausible(doubles, PLAUSIBLE) >= OTHER_TYPE {
+    let double = |[low, high]: [u32; 2]| f64::from_bits(u64::from(high) << 32 | u64::from(low));
+    let big = sample.words().map(|bits| f64::from(f32::from_bits(bits.swap_bytes())));
+    let integers = sample.words().map(|bits| f64::from(bits.cast_signed()));
+    if plausible(sample.pairs().map(double), PLAUSIBLE) >= OTHER_TYPE {
         return Some("floats of 8 bytes".to_owned());
     }
     if plausible(big, PLAUSIBLE) >= OTHER_TYPE {
@@ -165,7 +191,8 @@ mod tests {
     }
 
     fn judge(bytes: &[u8]) -> Result<usize, String> {
-        columns(bytes, bytes.len() as u64, Path::new("a.bin")).map_err(|error| error.to_string())
+        let read = |start: u64, length: usize| Ok(bytes[start as usize..start as usize + length].to_vec());
+        columns(&read, bytes.len() as u64, Path::new("a.bin")).map_err(|error| error.to_string())
     }
 
     #[test]
@@ -237,5 +264,48 @@ mod tests {
         assert_eq!(judge(&bytes(&rows(3, 5))), Ok(5));
         assert!(judge(&[0; 33]).unwrap_err().contains("a multiple of 20 bytes"));
         assert!(judge(&[]).unwrap_err().contains("an empty file"));
+    }
+
+    /// Zeros in place of returns, in front of the points or between them.
+    #[test]
+    fn rows_of_zeros_do_not_decide() {
+        for (count, zeros) in [(3000, 9000), (3000, 20_000), (300, 60_000)] {
+            for columns in [4, 5] {
+                let head = vec![0.0; zeros * columns];
+                let own = rows(count, columns);
+                assert_eq!(judge(&bytes(&[head.clone(), own.clone()].concat())), Ok(columns));
+                assert_eq!(judge(&bytes(&[own, head].concat())), Ok(columns));
+            }
+            let message = judge(&bytes(&[vec![0.0; zeros * 6], rows(count, 6)].concat())).unwrap_err();
+            assert!(message.contains("repeat every 6 floats"), "{message}");
+            let double = rows(count, 5).into_iter().flat_map(|v| f64::from(v).to_le_bytes());
+            let message = judge(&[vec![0; zeros * 40], double.collect()].concat()).unwrap_err();
+            assert!(message.contains("floats of 8 bytes"), "{message}");
+        }
+        for share in [0.5, 0.8, 0.9] {
+            let mut values = rows(20_000, 4);
+            let is_zero = |row: usize| crate::hash::between(9, &[row as i64], 0.0, 1.0) < share;
+            values
+                .chunks_exact_mut(4)
+                .enumerate()
+                .filter(|(row, _)| is_zero(*row))
+                .for_each(|(_, v)| v.fill(0.0));
+            assert_eq!(judge(&bytes(&values)), Ok(4), "{share}");
+        }
+    }
+
+    #[test]
+    fn rejects_what_does_not_tell() {
+        let message = judge(&[0; 20_000]).unwrap_err();
+        assert!(message.contains("zero bytes (a download that was cut off?)"), "{message}");
+        let message = judge(&[0xff; 20_000]).unwrap_err();
+        assert!(message.contains("nothing but the value NaN in 20000 bytes"), "{message}");
+        // A few points in a large file.
+        let message = judge(&bytes(&[vec![0.0; 90_000], rows(20, 5)].concat())).unwrap_err();
+        assert!(message.contains("do not tell the number of columns"), "{message}");
+        // One kind of values everywhere.
+        let alike: Vec<f32> = (0..5000).map(|i| crate::hash::between(3, &[i], -9.0, 9.0) as f32).collect();
+        let message = judge(&bytes(&alike)).unwrap_err();
+        assert!(message.contains("do not tell the number of columns"), "{message}");
     }
 }

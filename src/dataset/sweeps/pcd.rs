@@ -43,8 +43,8 @@ pub(in crate::dataset) fn check_pcd(head: &[u8], length: u64, path: &Path) -> Re
 /// Reads a PCD file of any encoding. Drops and counts points with a NaN or infinite coordinate.
 ///
 /// # Errors
-/// Fails if the file is missing or truncated, its header lacks `x y z` as 4-byte floats, or sizes in the header
-/// contradict each other.
+/// Fails if the file is missing or truncated, its header lacks `x y z` as floats, or sizes in the header contradict each
+/// other. Fails if no point has finite coordinates, or all are at the origin.
 pub fn read_pcd_file(path: &Path) -> Result<Sweep, FileError> {
     let bytes = read_file(path, SWEEP_BYTES)?;
     parse_pcd(&bytes, path)
@@ -55,18 +55,14 @@ pub fn read_pcd_file(path: &Path) -> Result<Sweep, FileError> {
 /// # Errors
 /// Fails as [`read_pcd_file`].
 pub fn parse_pcd(bytes: &[u8], path: &Path) -> Result<Sweep, FileError> {
-    parse_pcd_as(bytes, RingMeaning::Auto, path)
+    pcd_rows(bytes, path)?.finish(RingMeaning::Auto, path)
 }
 
-/// Parses the bytes of a PCD file with a meaning of its rings.
+/// Returns the points of a PCD file.
 ///
 /// # Errors
-/// Fails as [`read_pcd_file`].
-pub(in crate::dataset) fn parse_pcd_as(
-    bytes: &[u8],
-    meaning: RingMeaning,
-    path: &Path,
-) -> Result<Sweep, FileError> {
+/// Fails as [`read_pcd_file`], except that points may be missing.
+pub(in crate::dataset) fn pcd_rows(bytes: &[u8], path: &Path) -> Result<SweepRows, FileError> {
     let header = parse_header(bytes, path)?;
     let end = header.end(bytes, bytes.len() as u64, path)?;
     let points = header.points(bytes, end, path)?;
@@ -81,7 +77,7 @@ pub(in crate::dataset) fn parse_pcd_as(
             device: header.device.map(number),
         });
     }
-    Ok(sweep.finish(meaning))
+    Ok(sweep)
 }
 
 fn parse_header(bytes: &[u8], path: &Path) -> Result<Header, FileError> {
@@ -165,7 +161,7 @@ impl Header {
         for row in 0..self.points {
             let line = str::from_utf8(lines.next().unwrap_or_default()).unwrap_or_default();
             let before = numbers.len();
-            numbers.extend(line.split_ascii_whitespace().map_while(|word| word.parse::<f64>().ok()));
+            numbers.extend(line.split_ascii_whitespace().map_while(number));
             if numbers.len() != before + self.numbers || line.split_ascii_whitespace().count() != self.numbers
             {
                 let expected = format!("{} numbers as point {row}", self.numbers);
@@ -175,6 +171,13 @@ impl Header {
         }
         Ok(numbers)
     }
+}
+
+/// Parses a number. C libraries write what is not a number as `-nan(ind)`, or `-1.#IND`.
+fn number(word: &str) -> Option<f64> {
+    let unsigned = word.trim_start_matches(['+', '-']).to_ascii_lowercase();
+    let is_nan = unsigned.starts_with("nan(") || unsigned.starts_with("1.#");
+    if is_nan { Some(f64::NAN) } else { word.parse().ok() }
 }
 
 #[cfg(test)]
@@ -271,9 +274,13 @@ mod tests {
         let layout =
             "FIELDS x y z intensity lidar_info ring, SIZE 4 4 4 1 1 1, TYPE F F F U U U, COUNT 1 1 1 1 1 1";
         let bytes = changed("TYPE F F F", "TYPE F U F");
-        refused(&bytes, "y as a single 4-byte float (F)", &layout.replace("TYPE F F F", "TYPE F U F"));
+        refused(
+            &bytes,
+            "y as a single float of 4 or 8 bytes (F)",
+            &layout.replace("TYPE F F F", "TYPE F U F"),
+        );
         let bytes = changed("FIELDS x", "FIELDS u");
-        refused(&bytes, "x as a single 4-byte float (F)", &layout.replace("FIELDS x", "FIELDS u"));
+        refused(&bytes, "x as a single float of 4 or 8 bytes (F)", &layout.replace("FIELDS x", "FIELDS u"));
         let bytes = changed("SIZE 4 4 4 1 1 1", "SIZE 4 4 4 1 1");
         let found = layout.replace("SIZE 4 4 4 1 1 1", "SIZE 4 4 4 1 1");
         refused(&bytes, "SIZE, TYPE and COUNT for every field", &found);
@@ -308,8 +315,27 @@ mod tests {
         assert_eq!(parse(ascii().as_bytes()).unwrap(), parse(&file()).unwrap());
         assert_eq!(parse(ascii().replace('\n', "\r\n").as_bytes()).unwrap(), parse(&file()).unwrap());
         assert_eq!(parse(&compressed()).unwrap(), parse(&file()).unwrap());
-        let nan = ascii().replace("1.5 -2", "nan -2");
-        assert_eq!(parse(nan.as_bytes()).unwrap().dropped_non_finite, 1);
+        for word in ["nan", "-nan", "NaN", "-nan(ind)", "nan(snan)", "-1.#IND", "1.#QNAN", "1.#INF00", "-inf"]
+        {
+            let nan = ascii().replace("1.5 -2", &format!("{word} -2"));
+            assert_eq!(parse(nan.as_bytes()).unwrap().dropped_non_finite, 1, "{word}");
+        }
+    }
+
+    /// Letters of names and encodings are upper or lower case, and coordinates have 4 or 8 bytes.
+    #[test]
+    fn names_and_widths_vary() {
+        let text = ascii().replace("x y z intensity lidar_info ring", "X Y Z Intensity LIDAR_INFO Ring");
+        let text = text.replace("DATA ascii", "DATA ASCII");
+        assert_eq!(parse(text.as_bytes()).unwrap(), parse(&file()).unwrap());
+        let wide = HEADER.replace("SIZE 4 4 4", "SIZE 8 8 8");
+        let points = file()[HEADER.len()..].to_vec();
+        let row = |row: &[u8]| {
+            let position = row[..12].as_chunks::<4>().0.iter().map(|b| f64::from(f32::from_le_bytes(*b)));
+            [position.flat_map(f64::to_le_bytes).collect::<Vec<u8>>(), row[12..].to_vec()].concat()
+        };
+        let rows: Vec<u8> = points.chunks_exact(15).flat_map(row).collect();
+        assert_eq!(parse(&[wide.as_bytes(), &rows].concat()).unwrap(), parse(&file()).unwrap());
     }
 
     #[test]

@@ -61,7 +61,7 @@ enum Kind {
 
 impl Encoding {
     fn parse(name: &str) -> Option<Self> {
-        match name {
+        match name.to_ascii_lowercase().as_str() {
             "binary" => Some(Self::Binary),
             "binary_compressed" => Some(Self::Compressed),
             "ascii" => Some(Self::Ascii),
@@ -139,7 +139,7 @@ impl Header {
     /// Parses the start of a file; `path` is for messages.
     ///
     /// # Errors
-    /// Fails if it is no header, lacks `x y z` as floats of 4 bytes, or contradicts itself.
+    /// Fails if it is no header, lacks `x y z` as floats, or contradicts itself.
     pub(super) fn parse(head: &[u8], path: &Path) -> Result<Self, FileError> {
         let wrong = |expected: &str, found: String| FileError::content(expected, found, path);
         let (lines, encoding, start) = Lines::split(head, path)?;
@@ -156,10 +156,12 @@ impl Header {
             return Err(wrong(&format!("WIDTH times HEIGHT, {points} points"), found));
         }
         let (columns, stride, numbers) = lines.columns(path)?;
-        let field = |name: &str| columns.iter().find(|(n, _)| *n == name).and_then(|(_, field)| *field);
+        let field = |name: &str| {
+            columns.iter().find(|(n, _)| n.eq_ignore_ascii_case(name)).and_then(|(_, field)| *field)
+        };
         let coordinate = |name: &str| {
-            let found = || wrong(&format!("{name} as a single 4-byte float (F)"), lines.layout());
-            field(name).filter(|f| f.kind == Kind::F32).ok_or_else(found)
+            let found = || wrong(&format!("{name} as a single float of 4 or 8 bytes (F)"), lines.layout());
+            field(name).filter(|f| matches!(f.kind, Kind::F32 | Kind::F64)).ok_or_else(found)
         };
         let position = [coordinate("x")?, coordinate("y")?, coordinate("z")?];
         let (intensity, device, ring) = (field("intensity"), field("lidar_info"), field("ring"));

@@ -1,8 +1,11 @@
 //! Points of a sweep, row by row.
 
+use std::path::Path;
+
 use super::devices::{Evidence, evidence};
 use crate::dataset::notes::count;
 use crate::dataset::{RingMeaning, Sweep, SweepPoint};
+use crate::error::FileError;
 
 /// Note for values of a column that is only informative.
 const INTENSITIES: &str = "points whose intensity is not finite (read as 0)";
@@ -10,6 +13,7 @@ const RINGS: &str = "points whose ring is not a whole number from 0 on (read as 
 const FEW_RINGS: &str =
     "sweeps with few ring numbers, read as beams (--ring-is device if they number merged LiDARs)";
 const BEAMS: &str = "sweeps whose lidar_info numbers beams instead of LiDARs";
+const MERGED: &str = "sweeps of merged LiDARs (--ring-is beam if not)";
 
 /// Ring numbers below this may be LiDARs.
 const MOST_DEVICES: u16 = 4;
@@ -55,33 +59,82 @@ impl SweepRows {
         self.devices.extend(device.map(|device| whole(device).unwrap_or(0)));
     }
 
-    /// Returns the sweep with the meaning of its ring column.
-    pub(in crate::dataset) fn finish(self, meaning: RingMeaning) -> Sweep {
+    /// Adds a note about the sweep.
+    pub(in crate::dataset) fn note(&mut self, kind: &str) {
+        count(&mut self.sweep.notes, kind, 1);
+    }
+
+    /// Returns what the directions of the points say about their numbers; `None` if no number can be that of a LiDAR.
+    pub(super) fn evidence(&self) -> Option<Evidence> {
+        let points = &self.sweep.points;
+        if self.has_devices() {
+            return Some(evidence(points, |i| self.devices[i]));
+        }
+        may_be_devices(points).then(|| evidence(points, |i| points[i].ring))
+    }
+
+    /// Returns whether a column of the file numbers several LiDARs.
+    fn has_devices(&self) -> bool {
+        self.devices.windows(2).any(|pair| pair[0] != pair[1])
+    }
+
+    /// Returns the sweep with the meaning of its ring column, judged from its own points; `path` is for messages.
+    ///
+    /// # Errors
+    /// Fails as [`SweepRows::finish_as`].
+    pub(in crate::dataset) fn finish(self, meaning: RingMeaning, path: &Path) -> Result<Sweep, FileError> {
+        let found = if meaning == RingMeaning::Auto { self.evidence() } else { None };
+        self.finish_as(meaning, found, path)
+    }
+
+    /// Returns the sweep with the meaning of its ring column. `found` decides what [`RingMeaning::Auto`] means.
+    ///
+    /// # Errors
+    /// Fails if no point has finite coordinates, or all are at the origin.
+    pub(super) fn finish_as(
+        self,
+        meaning: RingMeaning,
+        found: Option<Evidence>,
+        path: &Path,
+    ) -> Result<Sweep, FileError> {
+        self.check_points(path)?;
+        let has_devices = self.has_devices();
         let Self { mut sweep, devices, intensities, rings } = self;
         count(&mut sweep.notes, INTENSITIES, intensities);
         count(&mut sweep.notes, RINGS, rings);
-        if devices.windows(2).any(|pair| pair[0] != pair[1]) {
+        sweep.devices = match (meaning, found) {
+            (RingMeaning::Device, _) => true,
+            (RingMeaning::Beam, _) | (RingMeaning::Auto, None) => false,
             // The name of the column says that it numbers LiDARs, unless its values contradict.
-            let found = || evidence(&sweep.points, |i| devices[i]);
-            let contradicted = meaning == RingMeaning::Auto && found() == Evidence::Beams;
-            count(&mut sweep.notes, BEAMS, usize::from(contradicted));
-            if meaning != RingMeaning::Beam && !contradicted {
-                sweep.points.iter_mut().zip(&devices).for_each(|(point, device)| point.ring = *device);
-                sweep.devices = true;
-            }
-            return sweep;
-        }
-        sweep.devices = match meaning {
-            RingMeaning::Device => true,
-            RingMeaning::Beam => false,
-            RingMeaning::Auto if may_be_devices(&sweep.points) => {
-                let certain = evidence(&sweep.points, |i| sweep.points[i].ring) == Evidence::Devices;
-                count(&mut sweep.notes, FEW_RINGS, usize::from(!certain));
-                certain
-            }
-            RingMeaning::Auto => false,
+            (RingMeaning::Auto, Some(found)) if has_devices => found != Evidence::Beams,
+            (RingMeaning::Auto, Some(found)) => found == Evidence::Devices,
         };
-        sweep
+        if meaning == RingMeaning::Auto && found.is_some() {
+            let note = match (sweep.devices, has_devices) {
+                (true, _) => MERGED,
+                (false, true) => BEAMS,
+                (false, false) => FEW_RINGS,
+            };
+            count(&mut sweep.notes, note, 1);
+        }
+        if sweep.devices && has_devices {
+            sweep.points.iter_mut().zip(&devices).for_each(|(point, device)| point.ring = *device);
+        }
+        Ok(sweep)
+    }
+
+    /// Checks that there is a point that may be a return.
+    fn check_points(&self, path: &Path) -> Result<(), FileError> {
+        let (points, dropped) = (&self.sweep.points, self.sweep.dropped_non_finite);
+        if points.is_empty() {
+            let found = format!("none in {dropped} rows");
+            return Err(FileError::content("points with finite coordinates", found, path));
+        }
+        if points.iter().all(|point| point.position == [0.0; 3]) {
+            let found = format!("{} points at the origin (a download that was cut off?)", points.len());
+            return Err(FileError::content("points around the LiDAR", found, path));
+        }
+        Ok(())
     }
 }
 
@@ -100,12 +153,16 @@ fn may_be_devices(points: &[SweepPoint]) -> bool {
 mod tests {
     use super::*;
 
+    fn finished(rows: SweepRows, meaning: RingMeaning) -> Sweep {
+        rows.finish(meaning, Path::new("a.pcd")).unwrap()
+    }
+
     fn sweep(rows: &[([f32; 3], f32, f64, Option<f64>)]) -> Sweep {
         let mut sweep = SweepRows::with_capacity(rows.len());
         for &(position, intensity, ring, device) in rows {
             sweep.push(SweepRow { position, intensity, ring, device });
         }
-        sweep.finish(RingMeaning::Auto)
+        finished(sweep, RingMeaning::Auto)
     }
 
     #[test]
@@ -140,7 +197,7 @@ mod tests {
             for ring in [0.0, 1.0, 1.0] {
                 rows.push(SweepRow { position: [ring as f32; 3], intensity: 0.0, ring, device: None });
             }
-            let sweep = rows.finish(meaning);
+            let sweep = finished(rows, meaning);
             (sweep.devices, sweep.notes.len())
         };
         assert_eq!(devices(RingMeaning::Auto), (false, 1));
@@ -156,5 +213,20 @@ mod tests {
         }
         let sweep = sweep(&[([1.0; 3], 0.0, 7.0, Some(3.0)), ([2.0; 3], 0.0, 8.0, Some(3.0))]);
         assert_eq!((sweep.devices, sweep.points[0].ring, sweep.points[1].ring), (false, 7, 8));
+    }
+
+    #[test]
+    fn sweeps_without_returns_are_refused() {
+        let refused = |position: [f32; 3]| {
+            let mut rows = SweepRows::default();
+            (0..3).for_each(|_| {
+                rows.push(SweepRow { position, intensity: 0.0, ring: 1.0, device: None });
+            });
+            rows.finish(RingMeaning::Auto, Path::new("a.pcd")).unwrap_err().to_string()
+        };
+        let message = refused([1.0, f32::NAN, 0.0]);
+        assert_eq!(message, "expected points with finite coordinates, found none in 3 rows: a.pcd");
+        let message = refused([0.0, -0.0, 0.0]);
+        assert!(message.contains("points around the LiDAR, found 3 points at the origin"), "{message}");
     }
 }

@@ -12,6 +12,7 @@ mod messages;
 mod outputs;
 mod points;
 mod records;
+mod sweeps;
 mod words;
 
 use std::path::Path;

@@ -1,0 +1,53 @@
+//! What the numbers of a log's sweeps mean, decided once.
+
+use std::path::Path;
+use std::sync::OnceLock;
+
+use super::SweepRows;
+use super::devices::{Evidence, majority};
+use crate::dataset::{Recording, RingMeaning, Sweep};
+use crate::error::FileError;
+
+/// Number of sweeps that decide, evenly spaced over the log.
+const SWEEPS: usize = 5;
+
+/// Meaning of the numbers in all sweeps of a log.
+#[derive(Debug)]
+pub(in crate::dataset) struct RingDecision {
+    meaning: RingMeaning,
+    /// What most sweeps say; `None` if their numbers cannot be those of LiDARs.
+    found: OnceLock<Option<Evidence>>,
+}
+
+impl RingDecision {
+    /// Creates a decision that is due.
+    pub(in crate::dataset) fn new(meaning: RingMeaning) -> Self {
+        Self { meaning, found: OnceLock::new() }
+    }
+
+    /// Reads a sweep of the log, and decides with the first one whose numbers may be those of LiDARs.
+    ///
+    /// # Errors
+    /// Returns any error of `read` for the sweep itself. Fails if it has no point with finite coordinates.
+    pub(in crate::dataset) fn read(
+        &self,
+        log: &Recording,
+        path: &Path,
+        read: impl Fn(&Path) -> Result<SweepRows, FileError>,
+    ) -> Result<Sweep, FileError> {
+        let rows = read(path)?;
+        let own = if self.meaning == RingMeaning::Auto { rows.evidence() } else { None };
+        let found = own.map(|own| self.found.get_or_init(|| of_log(log, &read)).unwrap_or(own));
+        rows.finish_as(self.meaning, found, path)
+    }
+}
+
+/// Returns what most of a few sweeps of a log say. Sweeps that cannot be read do not count. Must not wait for other threads, which
+/// may wait for this decision.
+fn of_log(log: &Recording, read: impl Fn(&Path) -> Result<SweepRows, FileError>) -> Option<Evidence> {
+    let records: Vec<_> = log.frames.iter().flat_map(|frame| &frame.sweeps).collect();
+    let chosen = records.len().min(SWEEPS);
+    let chosen = (0..chosen).map(|i| records[(2 * i + 1) * records.len() / (2 * chosen)]);
+    let found: Vec<Evidence> = chosen.filter_map(|record| read(&record.path).ok()?.evidence()).collect();
+    majority(&found)
+}
