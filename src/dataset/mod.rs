@@ -10,6 +10,7 @@ mod category;
 mod clock;
 #[cfg(any(feature = "nuscenes", feature = "nuplan", feature = "av2"))]
 mod degenerate;
+mod ego_jumps;
 mod ego_track;
 mod fingerprint;
 mod gaps;
