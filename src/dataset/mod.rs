@@ -38,6 +38,7 @@ mod sweeps;
 pub(crate) use category::CategoryKind;
 pub use category::{Class, layout_rgb};
 pub use ego_track::EgoTrack;
+pub(crate) use fingerprint::is_fingerprint;
 pub use gaps::{Gap, GapPlace, MissingData};
 pub use locator::{LogFormat, LogLocator};
 pub use map::{Area, Lane, VectorMap};

@@ -37,6 +37,7 @@ pub use mcap::MCAP;
 pub use options::{InputPaths, ResumeAfter, RolloutInputs, RolloutOptions};
 pub use profile::{Profile, lap};
 pub use report::RolloutReport;
+pub use sources::check_finished;
 
 use std::path::Path;
 use std::time::Instant;
@@ -93,7 +94,7 @@ impl<'a> Rollout<'a> {
         resume: Option<ResumeAfter>,
     ) -> Result<Self, RolloutError> {
         let RolloutInputs { scenario, skeleton, prompt, paths } = inputs;
-        let sources = Sources::new(scenario.log, skeleton, prompt)?;
+        let sources = Sources::new(scenario, skeleton, prompt)?;
         let open = |folder: &'a Path| {
             let inputs = Inputs::new([paths.skeleton, paths.log]);
             let files = OutputFolder::open(folder, KIND, &inputs)?;

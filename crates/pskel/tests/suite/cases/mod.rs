@@ -10,6 +10,7 @@ mod maps;
 mod messages;
 mod outputs;
 mod points;
+mod recordings;
 mod words;
 
 use std::path::Path;
