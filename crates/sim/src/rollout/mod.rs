@@ -30,14 +30,13 @@ mod video;
 
 pub use error::{AnyError, RolloutError};
 pub use files::METRICS;
-pub use finish::is_finished;
+pub use finish::{check_finished, is_finished};
 pub use generator::{GenerationTimes, ImageGenerator};
 #[cfg(feature = "mcap")]
 pub use mcap::MCAP;
 pub use options::{InputPaths, ResumeAfter, RolloutInputs, RolloutOptions};
 pub use profile::{Profile, lap};
 pub use report::RolloutReport;
-pub use sources::check_finished;
 
 use std::path::Path;
 use std::time::Instant;

@@ -11,9 +11,7 @@ use point_skeleton::skeleton::Skeleton;
 use serde::Serialize;
 use serde_json::Value;
 
-use super::earlier::read_record;
-use super::files::ROLLOUT;
-use super::{InputPaths, RolloutError, RolloutInputs};
+use super::InputPaths;
 use crate::Scenario;
 
 /// Inputs recorded in `rollout.json`.
@@ -72,17 +70,6 @@ impl Sources {
         }
         Ok(())
     }
-}
-
-/// Checks that a rollout in a folder, which is finished, was made from the same log, skeleton, HD map and annotations.
-///
-/// # Errors
-/// Fails if it was made from others, or if its options cannot be read.
-pub fn check_finished(folder: &Path, inputs: &RolloutInputs<'_>) -> Result<(), RolloutError> {
-    let marker = folder.join(ROLLOUT);
-    let before = read_record(&marker)?;
-    let sources = Sources::new(inputs.scenario, inputs.skeleton, inputs.prompt)?;
-    Ok(sources.check(&before["sources"], &marker, &inputs.paths)?)
 }
 
 fn frames(log: &Recording) -> String {

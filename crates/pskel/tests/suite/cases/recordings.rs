@@ -1,5 +1,11 @@
 //! Another recording with the name of an earlier one is not taken for it: in skeletons, rollouts, protocols and drives.
 
+use point_skeleton::cloud::Bounds;
+use point_skeleton::error::FileError;
+use point_skeleton::files::Inputs;
+use point_skeleton::skeleton::{
+    Checksum, Template, TemplateLibrary, TemplateOptions, TemplateReport, default_templates,
+};
 use serde_json::{Value, json};
 
 use crate::mcap_file::McapFile;
@@ -11,16 +17,22 @@ const FOCAL: (&str, &str) = ("calibrated_sensor", "/1/camera_intrinsic/0/0");
 const EXPORT: &str =
     "export nuscenes:log --skeletons sks --out out --layout webdataset --out-size 32x48 --rasterizer cpu";
 
-/// Replaces the template library by one of an asset with fewer points.
-fn change_templates(log: &TinyLog) {
-    log.succeed("build nuscenes:log --out coarse --voxel 0.3");
-    log.succeed("templates coarse --min-points 1 --out templates");
+/// Writes a library of one template to `templates`, without some of its points.
+fn write_templates(log: &TinyLog, left_out: usize) {
+    let (template, mut points) = default_templates().swap_remove(0);
+    points.truncate(points.len() - left_out);
+    let (bounds, xxh3) = (Bounds::of(&points).unwrap(), Checksum::of(&points));
+    let template = Template { points: points.len(), bounds, xxh3, ..template };
+    let made = (vec![(template, points)], TemplateReport::default());
+    let library = TemplateLibrary::new(Vec::new(), TemplateOptions::default(), made);
+    let target = TemplateLibrary::target(&log.path("templates"), &Inputs::default()).unwrap();
+    library.write::<FileError>(target, |_| Ok(())).unwrap();
 }
 
 #[test]
 fn rollouts_of_other_cameras_or_templates_are_not_continued() {
     let log = built();
-    log.succeed("templates sk --min-points 1 --out templates");
+    write_templates(&log, 0);
     let simulate = format!("{SIMULATE} --maps depth --templates templates --steps");
     log.succeed(&format!("{simulate} 1"));
     let whole = tree(&log.path("out"));
@@ -30,23 +42,23 @@ fn rollouts_of_other_cameras_or_templates_are_not_continued() {
     // The skeleton is one of the other recording, which may be wanted.
     assert_failed(&output, 1, &["warning: the skeleton was built from another recording", ": sk\n"]);
     log.change(FOCAL.0, FOCAL.1, json!(48.0));
-    change_templates(&log);
+    write_templates(&log, 1);
     let output = log.run(&format!("{simulate} 2 --resume"));
     assert_failed(&output, 1, &["the options of the rollout, library", "out/rollout.json"]);
-    assert!(!String::from_utf8_lossy(&output.stderr).contains("warning"));
+    assert!(!String::from_utf8_lossy(&output.stderr).contains("another recording"));
     assert!(tree(&log.path("out")) == whole);
 }
 
 #[test]
 fn shards_with_other_templates_are_not_taken() {
     let log = built();
-    log.succeed("templates sk --min-points 1 --out templates");
+    write_templates(&log, 0);
     let export = format!("{EXPORT} --templates templates");
     log.succeed(&export);
     let whole = tree(&log.path("out"));
     let again = log.succeed(&export);
     assert!(again.contains("1 were there already"), "{again}");
-    change_templates(&log);
+    write_templates(&log, 1);
     assert_failed(&log.run(&export), 1, &["expected a shard of this template library", "--verify"]);
     assert!(tree(&log.path("out")) == whole);
     let verified = log.succeed(&format!("{export} --verify"));
