@@ -59,21 +59,30 @@ impl PointFormat {
         }
     }
 
-    /// Writes the points of a file. If they are relative to an origin, also writes it beside them: `NAME.origin.json`,
-    /// whose path is returned.
+    /// Writes the points of a file. If they are relative to an origin, also writes it beside them: `FILE.origin.json`, like
+    /// `p.npy.origin.json`, whose path is returned. Otherwise removes the origin of an earlier file.
     ///
     /// # Errors
     /// Fails if a file cannot be written, or if a file of another kind has the name of the origin's.
     pub fn write_file(self, path: &Path, file: &PointFile) -> Result<Option<PathBuf>, FileError> {
         let with_class = file.points.iter().any(|p| p.class() != 0);
-        let origin = (file.origin != DVec3::ZERO).then(|| path.with_extension("origin.json"));
-        if let Some(path) = &origin {
+        let mut origin = path.as_os_str().to_owned();
+        origin.push(".origin.json");
+        let origin = PathBuf::from(origin);
+        let has_origin = file.origin != DVec3::ZERO;
+        let is_stale = !has_origin && origin.symlink_metadata().is_ok();
+        if has_origin || is_stale {
+            ORIGIN.check(&origin)?;
+        }
+        if has_origin {
             // Written before the points, so that points never exist without their origin.
-            ORIGIN.check(path)?;
-            write_json(path, &FileOrigin { origin: file.origin.to_array() })?;
+            write_json(&origin, &FileOrigin { origin: file.origin.to_array() })?;
         }
         self.write(path, &file.points, with_class)?;
-        Ok(origin)
+        if is_stale {
+            std::fs::remove_file(&origin).map_err(FileError::io("delete", &origin))?;
+        }
+        Ok(has_origin.then_some(origin))
     }
 }
 

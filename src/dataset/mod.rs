@@ -10,6 +10,7 @@ mod category;
 mod clock;
 #[cfg(any(feature = "nuscenes", feature = "nuplan", feature = "av2"))]
 mod degenerate;
+mod ego_jumps;
 mod ego_track;
 mod fingerprint;
 mod gaps;
@@ -37,6 +38,7 @@ mod sweeps;
 pub(crate) use category::CategoryKind;
 pub use category::{Class, layout_rgb};
 pub use ego_track::EgoTrack;
+pub(crate) use fingerprint::is_fingerprint;
 pub use gaps::{Gap, GapPlace, MissingData};
 pub use locator::{LogFormat, LogLocator};
 pub use map::{Area, Lane, VectorMap};

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 
 use rayon::prelude::*;
 
+use super::ego_jumps::{JUMPS, count_jumps};
 use super::{DatasetError, Gap, MissingData, Recording};
 use crate::error::FileError;
 use crate::files::input::is_there;
@@ -61,6 +62,8 @@ pub(super) fn settle(log: &mut Recording, notes: Notes) -> Result<(), DatasetErr
         frame.between_images.retain(|image| !missing.contains(image.path.as_path()));
     }
     gaps.iter().for_each(|gap| count(&mut log.notes, gap.kind, 1));
+    let jumps = count_jumps(log);
+    count(&mut log.notes, JUMPS, jumps);
     log.gaps.extend(gaps);
     match log.gaps.first() {
         Some(first) if log.reading.missing == MissingData::Error => {

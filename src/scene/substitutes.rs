@@ -39,6 +39,9 @@ pub struct SubstituteOptions {
 pub struct SubstituteReport {
     /// Origin of each kind's template.
     pub templates: BTreeMap<&'static str, TemplateOrigin>,
+    /// Fingerprint of the template library; `None` without one.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub library: Option<String>,
     /// `None` for unchanged assets.
     pub augment: Option<AugmentReport>,
 }
@@ -114,6 +117,14 @@ impl SubstituteOptions {
         Self { augment, ..Self::default() }
     }
 
+    /// Returns the fingerprint of the template library, see [`TemplateLibrary::fingerprint_at`]; `None` without one.
+    ///
+    /// # Errors
+    /// Fails if it cannot be read.
+    pub fn fingerprint(&self) -> Result<Option<String>, FileError> {
+        self.library.as_deref().map(TemplateLibrary::fingerprint_at).transpose()
+    }
+
     /// Reads templates, degrades the assets of a log, and returns both with a report.
     ///
     /// # Errors
@@ -133,6 +144,6 @@ impl SubstituteOptions {
         }
         let templates = origins.iter().map(|(kind, origin)| (kind.name(), *origin)).collect();
         let augment = self.augment.map(|options| substitutes.augment(skeleton, log, options)).transpose()?;
-        Ok((substitutes, SubstituteReport { templates, augment }))
+        Ok((substitutes, SubstituteReport { templates, library: self.fingerprint()?, augment }))
     }
 }

@@ -7,7 +7,7 @@ use glam::{DVec3, Vec3};
 use serde::Serialize;
 
 use super::{Asset, Skeleton, Template, TemplateKind};
-use crate::cloud::{Point, PointFormat};
+use crate::cloud::{PRECISE_WITHIN_M, Point, PointFormat, Precision, origin_of};
 use crate::error::FileError;
 use crate::files::{FileName, Inputs, WholeFolder, write_json};
 
@@ -54,19 +54,24 @@ struct TemplateFile {
 impl Skeleton {
     /// Writes all points to a folder: `background`, `actors/TRACK` and `templates/KIND`, without classes, and
     /// `origins.json`, which has the origin of the background's coordinates and the file of each track. An older
-    /// export in the folder is replaced once the new one is complete.
+    /// export in the folder is replaced once the new one is complete. Returns notes on background points that are so far from
+    /// the origin that they lose precision.
     ///
     /// # Errors
     /// Fails if points do not match their checksum, if the folder has other content, or if a file cannot be written.
-    pub fn export(&self, folder: &Path, format: PointFormat) -> Result<(), FileError> {
+    pub fn export(&self, folder: &Path, format: PointFormat) -> Result<Vec<String>, FileError> {
+        let mut notes = Vec::new();
         WholeFolder::open(folder, KIND, &Inputs::new([self.path()]))?.write(|folder| {
+            let (background, note) = write_background(self, folder, format)?;
+            notes.extend(note);
             let origins = Origins {
-                background: write_background(self, folder, format)?,
+                background,
                 actors: write_actors(self, folder, format)?,
                 templates: write_templates(self, folder, format)?,
             };
             write_json(&folder.join(ORIGINS), &origins)
-        })
+        })?;
+        Ok(notes)
     }
 }
 
@@ -74,22 +79,38 @@ fn write_background(
     skeleton: &Skeleton,
     folder: &Path,
     format: PointFormat,
-) -> Result<BackgroundFile, FileError> {
-    let chunks = &skeleton.manifest.background;
-    let origins = || chunks.iter().map(|c| DVec3::from(c.origin));
-    let ends = origins().reduce(DVec3::min).zip(origins().reduce(DVec3::max));
-    let origin = ends.map_or(DVec3::ZERO, |(min, max)| ((min + max) / 2.0).round());
-    let mut points = Vec::new();
-    for (chunk, cloud) in chunks.iter().zip(skeleton.background()?) {
-        let shift = DVec3::from(chunk.origin) - origin;
+) -> Result<(BackgroundFile, Option<String>), FileError> {
+    let origins = skeleton.manifest.background.iter().map(|chunk| DVec3::from(chunk.origin));
+    let chunks: Vec<(DVec3, &[Point])> = origins.zip(skeleton.background()?).collect();
+    let origin = origin_of_background(&chunks);
+    let (mut points, mut precision) = (Vec::new(), Precision::default());
+    for (chunk_origin, cloud) in chunks {
+        let shift = chunk_origin - origin;
         points.extend(cloud.iter().map(|p| {
-            let position = (Vec3::from(p.position).as_dvec3() + shift).as_vec3();
-            Point { position: position.to_array(), ..*p }
+            let position = (Vec3::from(p.position).as_dvec3() + shift).as_vec3().to_array();
+            precision.add(position);
+            Point { position, ..*p }
         }));
     }
     let file = format!("background.{}", format.extension());
     format.write(&folder.join(&file), &points, false)?;
-    Ok(BackgroundFile { file, origin: origin.to_array(), points: points.len() })
+    let note = precision.note(points.len(), Some(origin));
+    Ok((BackgroundFile { file, origin: origin.to_array(), points: points.len() }, note))
+}
+
+/// Returns the middle of the chunks near most points, in whole meters. Chunks are given by their origin and points.
+fn origin_of_background<'a>(chunks: &[(DVec3, &'a [Point])]) -> DVec3 {
+    let positions = |(origin, cloud): &(DVec3, &'a [Point])| {
+        let origin = *origin;
+        cloud.iter().map(move |p| origin + Vec3::from(p.position).as_dvec3())
+    };
+    let most = origin_of(chunks.iter().flat_map(positions));
+    let near = || {
+        let origins = chunks.iter().map(|(origin, _)| *origin);
+        origins.filter(|origin| (origin - most).abs().max_element() <= PRECISE_WITHIN_M)
+    };
+    let ends = near().reduce(DVec3::min).zip(near().reduce(DVec3::max));
+    ends.map_or(most, |(min, max)| ((min + max) / 2.0).round())
 }
 
 fn write_actors(

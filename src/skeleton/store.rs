@@ -10,7 +10,7 @@ use rayon::prelude::*;
 use super::manifest::{Asset, BuildReport, Chunk, Manifest, Source, Template};
 use super::{BuildOptions, Checksum};
 use crate::cloud::Point;
-use crate::dataset::Recording;
+use crate::dataset::{Recording, is_fingerprint};
 use crate::error::FileError;
 use crate::files::input::{is_taken, read_table};
 use crate::files::{
@@ -238,20 +238,30 @@ impl Skeleton {
         Ok(if is_taken(&path) { Some(Checksum::of(&read_table(&path)?).to_string()) } else { None })
     }
 
-    /// Checks that the skeleton was built from this recording, rather than from another one of the same name. Skeletons
-    /// of earlier versions have no fingerprints of their logs; the place, the times and the tracks are compared then.
+    /// Returns whether the skeleton was built from this recording, rather than from another one or another state of the same
+    /// name. `None` if it has no fingerprints that can be compared, as those of earlier versions.
+    ///
+    /// # Errors
+    /// Fails if the list of the skeleton's files cannot be read.
+    pub fn is_of(&self, log: &Recording) -> Result<Option<bool>, FileError> {
+        let mut known = inputs_of_whole(&self.path, KIND)?;
+        known.retain(|input| is_fingerprint(input));
+        Ok((!known.is_empty()).then(|| known.contains(&log.fingerprint())))
+    }
+
+    /// Checks that the skeleton was built from this recording, see [`Skeleton::is_of`]. Without fingerprints, the place, the
+    /// times and the tracks are compared.
     ///
     /// # Errors
     /// Fails if it was built from another recording.
     pub fn check_recording(&self, log: &Recording) -> Result<(), FileError> {
-        let known = inputs_of_whole(&self.path, KIND)?;
-        let is_same =
-            if known.is_empty() { self.manifest.resembles(log) } else { known.contains(&log.fingerprint()) };
-        if is_same {
+        if self.is_of(log)?.unwrap_or_else(|| self.manifest.resembles(log)) {
             return Ok(());
         }
-        let expected =
-            format!("a skeleton of the recording {} with the same frames, poses and boxes", log.name);
+        let expected = format!(
+            "a skeleton of the recording {} with the same frames, poses, cameras, files, categories and boxes",
+            log.name
+        );
         let found =
             "one of another recording or state of that name; remove it, or use another folder of skeletons";
         Err(FileError::content(expected, found, &self.path))

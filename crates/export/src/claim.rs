@@ -57,8 +57,8 @@ fn content(options: &ExportOptions) -> Value {
     json!({ "version": env!("CARGO_PKG_VERSION"), "records": RECORDS, "options": options })
 }
 
-/// Version of the records of shards; without fingerprints of the input, there was no such number.
-const RECORDS: u32 = 2;
+/// Version of the records of shards: raised when fingerprints of their input cover more.
+const RECORDS: u32 = 3;
 
 /// Compares options with those of an export, and names those that differ as on the command line.
 fn compare(ours: &Value, theirs: &Value, path: &Path) -> Result<(), FileError> {
@@ -66,7 +66,7 @@ fn compare(ours: &Value, theirs: &Value, path: &Path) -> Result<(), FileError> {
         return Ok(());
     }
     if theirs.get("records") != ours.get("records") {
-        let expected = "an export whose records have fingerprints of their input";
+        let expected = "an export whose records have fingerprints of all their input";
         let found = "one of an earlier version; keep it, and export to another folder";
         return Err(FileError::content(expected, found, path));
     }
@@ -118,7 +118,7 @@ mod tests {
 
     #[test]
     fn the_option_that_differs_is_named() {
-        let with = |options: Value| json!({ "version": "1", "records": 2, "options": options });
+        let with = |options: Value| json!({ "version": "1", "records": 3, "options": options });
         let ours = with(json!({ "layout": "frames", "shard_frames": 2, "frames": null }));
         let compared = |theirs: &Value| compare(&ours, theirs, Path::new("export.json"));
         compared(&ours).unwrap();

@@ -2,11 +2,11 @@ use std::collections::{BTreeMap, VecDeque};
 use std::path::Path;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::mpsc::sync_channel;
-use std::sync::{Mutex, PoisonError};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
 use point_skeleton::conditions::ConditionOptions;
-use point_skeleton::dataset::{Dataset, DatasetError, LogLocator};
+use point_skeleton::dataset::{Dataset, DatasetError, LogLocator, VectorMap};
 use point_skeleton::error::{FileError, with_causes};
 use point_skeleton::files::{FileKind, SharedFolder, write_json};
 use point_skeleton::raster::{FRAMES_IN_FLIGHT, RasterizerDesc};
@@ -215,15 +215,20 @@ fn export_units(run: &Export<'_>, log: &ListedLog, report: &mut ExportReport) ->
     let recording = dataset.log();
     let path = run.skeletons.join(&log.name);
     let has_maps = run.options.layout.has_maps();
-    let skeleton = if has_maps { Skeleton::fingerprint_at(&path)? } else { None };
-    let input = ShardInput { log: recording.fingerprint(), skeleton };
+    let map = if run.options.uses_map() { dataset.read_map()? } else { None };
+    let input = ShardInput {
+        log: recording.fingerprint(),
+        skeleton: if has_maps { Skeleton::fingerprint_at(&path)? } else { None },
+        map: map.as_ref().map(VectorMap::fingerprint),
+        templates: if has_maps { run.options.substitutes.fingerprint()? } else { None },
+    };
     let units = missing(run, log, &input, report);
     if units.is_empty() {
         return Ok(());
     }
     layout::check(run.options, recording)?;
     let options = run.options;
-    let map = if options.uses_map() { SceneMap::read(dataset.as_ref())? } else { None };
+    let map = map.map(|map| Arc::new(SceneMap::new(map, recording)));
     report.note(&recording.notes);
     let maps = options.rendered(map.is_some());
     let mut source = Source {

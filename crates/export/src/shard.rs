@@ -56,6 +56,10 @@ pub(crate) struct ShardInput {
     pub(crate) log: String,
     /// Of the skeleton's manifest, which has checksums of all points. `None` without maps, or if it is unknown.
     pub(crate) skeleton: Option<String>,
+    /// Of the HD map; `None` if it is not drawn or if there is none.
+    pub(crate) map: Option<String>,
+    /// Of the template library; `None` without one.
+    pub(crate) templates: Option<String>,
 }
 
 impl ShardInput {
@@ -65,6 +69,8 @@ impl ShardInput {
         match (&self.skeleton, &other.skeleton) {
             _ if self.log != other.log => Some("recording"),
             (Some(ours), Some(theirs)) if ours != theirs => Some("skeleton"),
+            _ if self.map != other.map => Some("HD map"),
+            _ if self.templates != other.templates => Some("template library"),
             _ => None,
         }
     }
@@ -296,7 +302,7 @@ mod tests {
     }
 
     fn input() -> ShardInput {
-        ShardInput { log: "1".into(), skeleton: Some("2".into()) }
+        ShardInput { log: "1".into(), skeleton: Some("2".into()), map: None, templates: None }
     }
 
     fn record() -> ShardRecord {
@@ -343,18 +349,15 @@ mod tests {
         shard.publish(record()).unwrap();
         let read =
             |input: &ShardInput, verify| ShardRecord::read(folder.path(), &unit(), Some(input), verify);
-        for (other, part) in [
-            (
-                ShardInput { log: "3".into(), ..input() },
-                "a shard of this recording, found one of another recording",
-            ),
-            (
-                ShardInput { skeleton: Some("3".into()), ..input() },
-                "a shard of this skeleton, found one of another",
-            ),
+        for (other, what) in [
+            (ShardInput { log: "3".into(), ..input() }, "recording"),
+            (ShardInput { skeleton: Some("3".into()), ..input() }, "skeleton"),
+            (ShardInput { map: Some("3".into()), ..input() }, "HD map"),
+            (ShardInput { templates: Some("3".into()), ..input() }, "template library"),
         ] {
             let message = read(&other, false).unwrap_err().to_string();
-            assert!(message.contains(part), "{message}");
+            let part = format!("a shard of this {what}, found one of another {what}");
+            assert!(message.contains(&part), "{message}");
             assert!(read(&other, true).unwrap().is_none(), "written again");
         }
         assert!(read(&ShardInput { skeleton: None, ..input() }, false).unwrap().is_some());

@@ -22,6 +22,9 @@ pub struct TrainingClip {
 pub struct DriveInfo {
     /// Name of the log.
     pub log: String,
+    /// Fingerprints of recording and HD map; empty in files of earlier versions.
+    #[serde(default)]
+    pub source: String,
     /// Frames per second.
     pub hz: f64,
     /// Channel names.
@@ -181,7 +184,13 @@ mod tests {
 
     fn about() -> DriveInfo {
         let cameras = vec!["a".to_owned(), "b".to_owned()];
-        DriveInfo { log: "l".into(), hz: 5.0, cameras, recipe: Recipe { size: SIZE, ..Recipe::default() } }
+        DriveInfo {
+            log: "l".into(),
+            source: "2-0".into(),
+            hz: 5.0,
+            cameras,
+            recipe: Recipe { size: SIZE, ..Recipe::default() },
+        }
     }
 
     fn camera(name: &str, level: u8) -> CameraConditions {

@@ -6,7 +6,7 @@ use foxglove::messages::Timestamp;
 use foxglove::messages::log::Level;
 use glam::DVec3;
 use point_skeleton::conditions::ImageSize;
-use point_skeleton::dataset::Recording;
+use point_skeleton::dataset::{Frame, Recording};
 use point_skeleton::error::FileError;
 use point_skeleton::geometry::{Camera, Cuboid};
 use point_skeleton::scene::SceneState;
@@ -32,7 +32,8 @@ impl<W: Write> SceneFile<W> {
     /// # Errors
     /// Fails if the file cannot be written, as do the other methods.
     pub fn begin(file: W, shown: &Path, log: &Recording) -> Result<Self, FileError> {
-        let origin = log.frames.first().map_or(DVec3::ZERO, |frame| frame.global_from_ego.translation);
+        let origin =
+            Frame::origin_of(&log.frames).map_or(DVec3::ZERO, |frame| frame.global_from_ego.translation);
         let [x, y, z] = origin.to_array();
         let mut file = Self { file: LogFile::begin(file, shown)?, origin };
         let metadata = [

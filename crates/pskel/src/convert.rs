@@ -40,7 +40,8 @@ pub(super) fn run(args: ConvertArgs) -> anyhow::Result<()> {
 
 fn convert_skeleton(input: &Path, out: &Path, format: PointFormat) -> Result<String, FileError> {
     let skeleton = Skeleton::open(input)?;
-    skeleton.export(out, format)?;
+    let notes = skeleton.export(out, format)?;
+    tell_notes(input, &notes);
     let manifest = &skeleton.manifest;
     let (points, actors, templates) =
         (manifest.background_points(), manifest.actors.len(), manifest.templates.len());

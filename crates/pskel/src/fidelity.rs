@@ -11,7 +11,6 @@ use point_skeleton::error::FileError;
 use point_skeleton::files::{Inputs, OutputFile};
 use point_skeleton::raster::SplatSchedule;
 use point_skeleton::scene::SceneClouds;
-use point_skeleton::skeleton::Skeleton;
 use pskel_eval::{FidelityFiles, POSES, fidelity};
 
 use super::log_args;
@@ -19,7 +18,7 @@ use super::numbers::FrameRange;
 use super::progress::Progress;
 use super::rasterizer::RasterizerArgs;
 use super::substitutes::SubstituteArgs;
-use super::{WrongUsage, outputs, say};
+use super::{WrongUsage, outputs, say, skeletons};
 use crate::logs;
 
 /// Measure the fidelity of condition maps: those of the synthetic town against its ground truth
@@ -79,7 +78,7 @@ pub(super) fn run(args: &FidelityArgs) -> anyhow::Result<()> {
     let [json, csv, markdown] = outputs::open(files, &inputs, None)?;
     let town = logs::open_town(&args.log)?;
     let log = town.log();
-    let skeleton = Skeleton::open_for(&args.skeleton, log)?;
+    let skeleton = skeletons::open_for(&args.skeleton, log)?;
     let frames = FrameRange::of(args.frames, log.frames.len())?;
     let (substitutes, _) = args.stand_ins.options().make(&skeleton, &log.name)?;
     let clouds = SceneClouds::with(&skeleton, &log.name, &substitutes)?;

@@ -32,6 +32,7 @@ mod rasterizer;
 mod render;
 mod signals;
 mod simulate;
+mod skeletons;
 mod splat;
 mod substitutes;
 mod templates;

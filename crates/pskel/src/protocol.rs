@@ -15,13 +15,14 @@ use point_skeleton::dataset::{Dataset, LogFormat, LogLocator, LogOpener};
 use point_skeleton::error::{FileError, with_causes};
 use point_skeleton::files::input::is_there;
 use point_skeleton::files::{Inputs, OutputFolder, write_json, write_whole};
-use point_skeleton::scene::{SelectionOptions, SubstituteOptions};
+use point_skeleton::scene::{SceneMap, SelectionOptions, SubstituteOptions};
 use point_skeleton::skeleton;
 use pskel_eval::protocol::{Clip, Part, PartRollouts, Protocol, ProtocolReport, check_settings};
 use pskel_generate::{CopiedLog, DatasetCopy, DenoiserRig};
 use pskel_network::NetworkName;
 use pskel_sim::report::ROLLOUT;
-use pskel_sim::{Rates, rollout};
+use pskel_sim::rollout::{self, InputPaths, RolloutInputs};
+use pskel_sim::{Rates, Scenario};
 use serde::Serialize;
 use serde_json::Value;
 
@@ -106,6 +107,9 @@ struct Settings<'a> {
     selection: SelectionOptions,
     format: MapFormat,
     substitutes: SubstituteOptions,
+    /// Fingerprint of the template library.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    library: Option<String>,
     prompt: PromptParts,
     captions: Option<&'a Path>,
 }
@@ -180,6 +184,11 @@ impl ProtocolArgs {
             .and(self.stand_ins.inputs())
     }
 
+    /// Reads the parts of the prompt.
+    fn prompt(&self) -> Result<PromptParts, FileError> {
+        self.annotations.as_deref().map_or(Ok(PromptParts::default()), PromptParts::read)
+    }
+
     /// Returns the selected parts, in order.
     fn parts(&self) -> Result<Vec<Part>, WrongUsage> {
         let mut parts = self.protocol.parts();
@@ -239,7 +248,8 @@ impl ProtocolArgs {
             selection: self.maps.selection(),
             format: self.maps.format,
             substitutes: self.stand_ins.options(),
-            prompt: self.annotations.as_deref().map(PromptParts::read).transpose()?.unwrap_or_default(),
+            library: self.stand_ins.options().fingerprint()?,
+            prompt: self.prompt()?,
             captions: self.generating.captions_file(),
         })?;
         let path = files.claim("protocol.json")?;
@@ -260,17 +270,25 @@ impl Run<'_> {
         if !skeleton.exists() {
             tell(&format!("building {}", skeleton.display()));
         }
-        skeleton::open_or_build(&skeleton, dataset.as_ref())?;
+        let built = skeleton::open_or_build(&skeleton, dataset.as_ref())?;
         let limit = self.args.clips.map_or(usize::MAX, usize::from);
         let rates = Rates::of(locator.format);
+        let scenario = Scenario { log, map: SceneMap::read(dataset.as_ref())?, rates };
+        let paths =
+            InputPaths { log: &locator.path, skeleton: &skeleton, prompt: self.args.annotations.as_deref() };
+        let prompt = &self.args.prompt()?;
+        let inputs = RolloutInputs { scenario: &scenario, skeleton: &built, prompt, paths };
         let mut done = Vec::new();
         for (place, PartRollouts { part, .. }) in self.parts.iter().enumerate() {
             let clips = part.clips(log, rates, self.references);
             let clips = clips.with_context(|| format!("part {}", part.name))?;
             for clip in clips.into_iter().take(limit) {
                 let out = self.files.folder(Path::new(part.name).join(&clip.name))?;
-                self.generate_clip(locator, &skeleton, part, &clip, &out)
-                    .with_context(|| format!("part {}, clip {}", part.name, clip.name))?;
+                match rollout::is_finished(&out)? {
+                    true => rollout::check_finished(&out, &inputs).map_err(anyhow::Error::from),
+                    false => self.generate_clip(locator, &skeleton, part, &clip, &out),
+                }
+                .with_context(|| format!("part {}, clip {}", part.name, clip.name))?;
                 done.push((place, clip, out));
             }
         }
@@ -287,7 +305,7 @@ impl Run<'_> {
         Ok(())
     }
 
-    /// Generates a clip, unless its rollout is finished.
+    /// Generates a clip.
     fn generate_clip(
         &self,
         locator: &LogLocator,
@@ -296,9 +314,6 @@ impl Run<'_> {
         clip: &Clip,
         out: &Path,
     ) -> anyhow::Result<()> {
-        if rollout::is_finished(out)? {
-            return Ok(());
-        }
         let args = self.args;
         let generation =
             GenerationArgs { generator: Some(args.generator.clone()), options: args.generating.clone() };

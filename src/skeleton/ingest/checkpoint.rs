@@ -27,14 +27,11 @@ pub(super) struct Plan {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(super) struct PlannedLog {
     pub(super) log: String,
-    /// Description from the data set; for a synthetic log, its generation parameters.
-    pub(super) description: String,
+    /// Fingerprint of the recording; empty in builds of earlier versions.
+    #[serde(default)]
+    pub(super) recording: String,
     /// Times of the frames, absolute microseconds.
     pub(super) t_us: Vec<i64>,
-    /// Number of sweeps, images and boxes of each frame; detects added and removed files.
-    pub(super) held: Vec<[usize; 3]>,
-    /// Number of tracks in the log.
-    pub(super) tracks: usize,
     /// Options of reading other than the default.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub(super) reading: Vec<String>,
@@ -179,7 +176,11 @@ fn difference(ours: &Plan, theirs: &Plan) -> String {
     if names(ours) != names(theirs) {
         return format!("one of {}", names(theirs).join(", "));
     }
-    "one of other frames, files or tracks".to_owned()
+    let differs = |(ours, theirs): &(&PlannedLog, &PlannedLog)| ours.recording != theirs.recording;
+    match ours.logs.iter().zip(&theirs.logs).find(differs) {
+        Some((_, log)) => format!("one of another recording or state of {}; build without --resume", log.log),
+        None => "one of other frames or options of reading".to_owned(),
+    }
 }
 
 /// Serializes a map as a list, since JSON map keys must be strings.

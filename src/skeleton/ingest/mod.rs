@@ -116,10 +116,8 @@ fn check_places(streams: &[Stream]) -> Result<(), BuildError> {
 fn plan(streams: &[Stream], options: &BuildOptions) -> Plan {
     let log = |stream: &Stream| PlannedLog {
         log: stream.log.name.clone(),
-        description: stream.log.description.clone(),
+        recording: stream.log.fingerprint(),
         t_us: stream.frames.iter().map(|f| f.t_us).collect(),
-        held: stream.frames.iter().map(|f| [f.sweeps.len(), f.images.len(), f.boxes.len()]).collect(),
-        tracks: stream.log.tracks.len(),
         reading: stream.log.reading.names().into_iter().map(str::to_owned).collect(),
     };
     Plan {

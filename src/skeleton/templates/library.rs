@@ -12,7 +12,7 @@ use crate::files::input::is_taken;
 use crate::files::{Inputs, WholeFolder, write_json, write_whole};
 use crate::gpu::MappedFile;
 use crate::skeleton::store::{Entry, read_manifest};
-use crate::skeleton::{Source, Template};
+use crate::skeleton::{Checksum, Source, Template};
 
 /// Kind of the output folder.
 const KIND: &str = "templates";
@@ -107,6 +107,17 @@ impl TemplateLibrary {
             more(folder)?;
             Ok(write_json(&folder.join(MANIFEST), &self.manifest)?)
         })
+    }
+
+    /// Returns a checksum of the templates of a library, which have those of their points, as 16 hexadecimal digits.
+    ///
+    /// # Errors
+    /// Fails if the manifest is missing or damaged, or has another format or version.
+    pub fn fingerprint_at(path: &Path) -> Result<String, FileError> {
+        let path = path.join(MANIFEST);
+        let templates = serde_json::to_vec(&read_library(&path)?.templates);
+        let templates = templates.map_err(|error| FileError::io("read", &path)(error.into()))?;
+        Ok(Checksum::of(&templates).to_string())
     }
 
     /// Reads a library.

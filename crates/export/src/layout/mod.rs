@@ -82,7 +82,7 @@ pub(crate) struct Source<'a> {
     pub(crate) listed: &'a ListedLog,
     pub(crate) dataset: &'a dyn Dataset,
     pub(crate) options: &'a ExportOptions,
-    /// Fingerprints of log and skeleton.
+    /// Fingerprints of log, skeleton, HD map and templates.
     pub(crate) input: ShardInput,
     #[cfg(feature = "parquet")]
     pub(crate) map: Option<Arc<SceneMap>>,

@@ -51,7 +51,13 @@ fn config() -> NetworkConfig {
 fn made_drive() -> TrainingClip {
     let recipe = config().recipe;
     let pixels = recipe.size.pixels();
-    let about = DriveInfo { log: "made".into(), hz: 2.0, cameras: vec!["front".into()], recipe };
+    let about = DriveInfo {
+        log: "made".into(),
+        source: String::new(),
+        hz: 2.0,
+        cameras: vec!["front".into()],
+        recipe,
+    };
     let frame = |i: u8| {
         let image = |factor: u8| (0..pixels).map(|p| [i * factor, (p % 6) as u8 * 40, 9]).collect::<Vec<_>>();
         DriveFrame {

@@ -220,8 +220,7 @@ fn copy(data: &[u8]) {
         let made = Made::with_images_in(FRAMES, &root.join("data"));
         let logs = [CopiedLog { log: made.log(), rollout: &root.join("rollout") }];
         let place = root.join(COPY);
-        let data = root.join("data");
-        match DatasetCopy::open(&data, &place, None).and_then(|copy| copy.write(&logs)) {
+        match DatasetCopy::open(&root.join("data"), &place, None).and_then(|copy| copy.write(&logs)) {
             Err(error) => {
                 told_within(error, root, data);
                 assert!(!place.exists(), "half a copy");

@@ -57,18 +57,19 @@ impl ClipRecorder<'_> {
     /// Returns the clips of a log, in order. Missing ones are recorded to files whose names begin with `name`.
     ///
     /// # Errors
-    /// Fails if the log does not have 1 to 8 cameras, if an existing clip has another log or recipe, or
-    /// if a clip cannot be rendered or written.
+    /// Fails if the log does not have 1 to 8 cameras, if an existing clip or skeleton is of another recording, or a clip of
+    /// another recipe, or if a clip cannot be rendered or written.
     pub fn clips(&self, name: &str, dataset: &dyn Dataset) -> Result<Vec<TrainingClip>, RecordError> {
         let found = dataset.log().rig.len();
         if NetworkConfig::check_cameras(found).is_err() {
             return Err(RecordError::Cameras { found, log: dataset.log().name.clone() });
         }
+        let fingerprint = fingerprint(dataset)?;
         let files: Vec<PathBuf> = (0..self.options.variants).map(|number| self.file(name, number)).collect();
         if files.iter().any(|file| !file.is_file()) {
-            self.record(name, dataset, &files)?;
+            self.record(name, (dataset, &fingerprint), &files)?;
         }
-        files.iter().map(|file| Ok(self.open(&dataset.log().name, file)?)).collect()
+        files.iter().map(|file| Ok(self.open((&dataset.log().name, &fingerprint), file)?)).collect()
     }
 
     /// Returns the path of a clip, `NAME-VARIANT[a].safetensors`.
@@ -79,11 +80,16 @@ impl ClipRecorder<'_> {
 
     /// Records missing clips. The skeleton is retained for later ones. Only recording locks the folder: trainings
     /// share it.
-    fn record(&self, name: &str, dataset: &dyn Dataset, files: &[PathBuf]) -> Result<(), RecordError> {
+    fn record(
+        &self,
+        name: &str,
+        (dataset, fingerprint): (&dyn Dataset, &str),
+        files: &[PathBuf],
+    ) -> Result<(), RecordError> {
         let folder = OutputFolder::open(self.folder, KIND, &Inputs::default())?;
         let skeleton = skeleton::open_or_build(&folder.folder(format!("{name}.skeleton"))?, dataset)?;
         let (recipe, rasterizer) = (&self.config.recipe, &self.options.rasterizer);
-        let source = Source { dataset, skeleton: &skeleton, recipe, rasterizer };
+        let source = Source { dataset, fingerprint, skeleton: &skeleton, recipe, rasterizer };
         for (number, file) in files.iter().enumerate().filter(|(_, file)| !file.is_file()) {
             let file = file.file_name().unwrap_or_default();
             source.record(self.variant(dataset, number))?.save(&folder.claim(file)?)?;
@@ -107,8 +113,8 @@ impl ClipRecorder<'_> {
         Variant { offset, augment: self.options.augment.then_some(SEED ^ number as u64) }
     }
 
-    /// Opens a clip, which must have the same log and recipe.
-    fn open(&self, log: &str, file: &Path) -> Result<TrainingClip, FileError> {
+    /// Opens a clip, which must be of the same recording, by its name and fingerprint, and have the same recipe.
+    fn open(&self, (log, fingerprint): (&str, &str), file: &Path) -> Result<TrainingClip, FileError> {
         let clip = TrainingClip::open(file)?;
         let recipe = &self.config.recipe;
         if (clip.about.log.as_str(), &clip.about.recipe) != (log, recipe) {
@@ -116,6 +122,20 @@ impl ClipRecorder<'_> {
             let found = format!("one of {} by {:?}", clip.about.log, clip.about.recipe);
             return Err(FileError::content(expected, found, file));
         }
+        if clip.about.source != fingerprint {
+            let expected = format!("a drive of this recording of {log}");
+            let found = format!(
+                "one of another recording or state of that name, or of an earlier version; remove {}, or use another folder of drives",
+                self.folder.display()
+            );
+            return Err(FileError::content(expected, found, file));
+        }
         Ok(clip)
     }
+}
+
+/// Returns the fingerprints of a recording and of its HD map.
+fn fingerprint(dataset: &dyn Dataset) -> Result<String, RecordError> {
+    let map = dataset.read_map()?.map_or("no map".to_owned(), |map| map.fingerprint());
+    Ok(format!("{} {map}", dataset.log().fingerprint()))
 }

@@ -15,6 +15,8 @@ use pskel_generate::{DenoiserError, DriveFrame, DriveInfo, Recipe, TrainingClip}
 /// A log to record, and the skeleton that was built from it.
 pub(super) struct Source<'a> {
     pub(super) dataset: &'a dyn Dataset,
+    /// Fingerprints of recording and HD map.
+    pub(super) fingerprint: &'a str,
     pub(super) skeleton: &'a Skeleton,
     pub(super) recipe: &'a Recipe,
     pub(super) rasterizer: &'a RasterizerDesc,
@@ -100,6 +102,7 @@ impl Source<'_> {
     fn about(&self, log: &Recording) -> DriveInfo {
         DriveInfo {
             log: log.name.clone(),
+            source: self.fingerprint.to_owned(),
             hz: frame_rate_hz(&log.frames).unwrap_or(0.0),
             cameras: log.cameras.iter().map(ToString::to_string).collect(),
             recipe: self.recipe.clone(),

@@ -7,13 +7,12 @@ use point_skeleton::dataset::LogLocator;
 use point_skeleton::files::Inputs;
 use point_skeleton::raster::{FRAMES_IN_FLIGHT, SplatSchedule};
 use point_skeleton::scene::SubstituteOptions;
-use point_skeleton::skeleton::Skeleton;
 use pskel_eval::bench::{BenchOptions, Workload};
 
 use crate::numbers::{self, FrameRange};
 use crate::rasterizer::RasterizerArgs;
 use crate::substitutes::SubstituteArgs;
-use crate::{WrongUsage, log_args, logs, tell, tell_notes, warn};
+use crate::{WrongUsage, log_args, logs, skeletons, tell, tell_notes, warn};
 
 /// Measure rendering speed: time per frame and per stage, points per second, peak memory
 ///
@@ -116,7 +115,7 @@ impl BenchArgs {
         match (&self.log, &self.skeleton, &self.points, &self.cameras) {
             (Some(log), Some(skeleton), ..) => {
                 let dataset = logs::open(log)?;
-                let skeleton = Skeleton::open_for(skeleton, dataset.log())?;
+                let skeleton = skeletons::open_for(skeleton, dataset.log())?;
                 let range = FrameRange::of(self.frames, dataset.log().frames.len())?;
                 let (substitutes, _) = self.stand_ins.options().make(&skeleton, &dataset.log().name)?;
                 let workload = Workload::log(dataset.as_ref(), skeleton, substitutes, range, self.maps)?;

@@ -14,11 +14,10 @@ use point_skeleton::files::OutputFolder;
 use point_skeleton::raster::Rasterizer;
 use point_skeleton::scene::{SceneMap, SceneSequence, SequenceError, frame_rate_hz};
 use point_skeleton::sequence::SequenceWriter;
-use point_skeleton::skeleton::Skeleton;
 use point_skeleton::{RenderOptions, Renderer};
 
 use super::progress::Progress;
-use super::{WrongUsage, say, warn};
+use super::{WrongUsage, say, skeletons, warn};
 
 /// Runs the command: opens the inputs, renders and writes the maps.
 pub(super) fn run(args: RenderArgs) -> anyhow::Result<()> {
@@ -29,7 +28,7 @@ pub(super) fn run(args: RenderArgs) -> anyhow::Result<()> {
     for (note, count) in log.notes.iter().filter(|(note, _)| note.contains("camera_distortion")) {
         warn(&format!("{count} {note}"));
     }
-    let skeleton = Skeleton::open_for(&args.skeleton, log)?;
+    let skeleton = skeletons::open_for(&args.skeleton, log)?;
     let views = args.cameras.as_deref().map(cloud::cameras::read).transpose()?;
     let prompt = args.annotations.as_deref().map_or(Ok(PromptParts::default()), PromptParts::read)?;
     let map = if args.wants_map() { SceneMap::read(dataset.as_ref())? } else { None };

@@ -9,7 +9,6 @@ use point_skeleton::conditions::meta::PromptParts;
 use point_skeleton::dataset::{Dataset, LogLocator, LogOpener, MissingData, MovedEgo};
 use point_skeleton::files::{Inputs as InputPaths, OutputFile};
 use point_skeleton::scene::{EgoOffset, SceneMap, frame_rate_hz};
-use point_skeleton::skeleton::Skeleton;
 #[cfg(feature = "network")]
 use pskel_eval::protocol::ClipClock;
 #[cfg(feature = "mcap")]
@@ -25,7 +24,7 @@ use crate::map_args::MapArgs;
 use crate::numbers;
 use crate::rasterizer::RasterizerArgs;
 use crate::substitutes::SubstituteArgs;
-use crate::{WrongUsage, outputs, warn};
+use crate::{WrongUsage, outputs, skeletons, warn};
 
 /// Number of frames that a generator sees besides the current one.
 const FORECAST_STEPS: usize = 9;
@@ -256,6 +255,7 @@ impl SimulateArgs {
     /// Reads the inputs.
     pub(super) fn inputs(&self) -> anyhow::Result<Inputs> {
         let mut dataset = self.roots.open_by(&self.log, &self.opener)?;
+        let skeleton = skeletons::open_for(&self.skeleton, dataset.log())?;
         if let Some(offset) = self.ego_offset {
             let moved = MovedEgo::new(dataset, offset).with_context(|| {
                 format!(
@@ -266,7 +266,6 @@ impl SimulateArgs {
             dataset = Box::new(moved);
         }
         let log = dataset.log();
-        let skeleton = Skeleton::open_for(&self.skeleton, log)?;
         let prompt = self.annotations.as_deref().map_or(Ok(PromptParts::default()), PromptParts::read)?;
         let map = self.read_map(dataset.as_ref())?;
         let maps = self.maps.kinds(map.is_some()).with_context(|| {

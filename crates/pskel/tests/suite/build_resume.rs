@@ -191,6 +191,11 @@ fn what_cannot_be_gone_on_with_is_refused() {
         assert_failed(&output, 1, &[words, "checkpoint.json"]);
         assert!(partial.join("checkpoint.json").is_file());
     }
+    // Another recording of the same name, with the same times and numbers of files and boxes.
+    log.change("ego_pose", "/1/translation/0", json!(664_050.0));
+    let output = log.run("build nuscenes:log --out out/sk --resume");
+    assert_failed(&output, 1, &["one of another recording or state of tiny", "checkpoint.json"]);
+    log.change("ego_pose", "/1/translation/0", json!(664_001.0));
     let run = partial.join("run-000000.sums");
     let bytes = std::fs::read(&run).unwrap();
     std::fs::write(&run, &bytes[1..]).unwrap();

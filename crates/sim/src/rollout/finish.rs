@@ -7,10 +7,13 @@ use point_skeleton::files::json;
 use point_skeleton::files::{OutputFolder, write_json};
 use serde::{Deserialize, Serialize};
 
+use super::earlier::read_record;
 use super::error::RolloutError;
-use super::files::{INDEX, METRICS, PAGE, STATES, VIDEO};
+use super::files::{INDEX, METRICS, PAGE, ROLLOUT, STATES, VIDEO};
+use super::options::RolloutInputs;
 use super::output::Output;
 use super::report::RolloutReport;
+use super::sources::Sources;
 #[cfg(feature = "video")]
 use super::video;
 use crate::report::page::{self, Page, PageActor, PageEvent, PageStep};
@@ -42,6 +45,17 @@ pub fn is_finished(folder: &Path) -> Result<bool, FileError> {
     }
     let ending: Ending = json::read(&path, "metrics of a rollout")?;
     Ok(ending.failure.is_none())
+}
+
+/// Checks that a rollout in a folder, which is finished, was made from the same log, skeleton, HD map and annotations.
+///
+/// # Errors
+/// Fails if it was made from others, or if its options cannot be read.
+pub fn check_finished(folder: &Path, inputs: &RolloutInputs<'_>) -> Result<(), RolloutError> {
+    let marker = folder.join(ROLLOUT);
+    let before = read_record(&marker)?;
+    let sources = Sources::new(inputs.scenario, inputs.skeleton, inputs.prompt)?;
+    Ok(sources.check(&before["sources"], &marker, &inputs.paths)?)
 }
 
 /// Content of `metrics.json`.

@@ -30,7 +30,7 @@ mod video;
 
 pub use error::{AnyError, RolloutError};
 pub use files::METRICS;
-pub use finish::is_finished;
+pub use finish::{check_finished, is_finished};
 pub use generator::{GenerationTimes, ImageGenerator};
 #[cfg(feature = "mcap")]
 pub use mcap::MCAP;
@@ -93,7 +93,7 @@ impl<'a> Rollout<'a> {
         resume: Option<ResumeAfter>,
     ) -> Result<Self, RolloutError> {
         let RolloutInputs { scenario, skeleton, prompt, paths } = inputs;
-        let sources = Sources::new(scenario.log, skeleton, prompt)?;
+        let sources = Sources::new(scenario, skeleton, prompt)?;
         let open = |folder: &'a Path| {
             let inputs = Inputs::new([paths.skeleton, paths.log]);
             let files = OutputFolder::open(folder, KIND, &inputs)?;

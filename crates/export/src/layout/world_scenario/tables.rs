@@ -27,14 +27,14 @@ pub(super) struct Clip<'a> {
     log: &'a Recording,
     frames: &'a [Frame],
     name: String,
-    /// Pose of the first frame.
+    /// Pose of the first frame near most others.
     clip_from_global: Pose,
 }
 
 impl<'a> Clip<'a> {
     pub(super) fn new(log: &'a Recording, frames: Range<usize>, name: &str) -> Self {
         let frames = log.frames.get(frames).unwrap_or_default();
-        let origin = frames.first().map_or(Pose::IDENTITY, |frame| frame.global_from_ego);
+        let origin = Frame::origin_of(frames).map_or(Pose::IDENTITY, |frame| frame.global_from_ego);
         Self { log, frames, name: name.to_owned(), clip_from_global: origin.inverse() }
     }
 

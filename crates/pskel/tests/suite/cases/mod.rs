@@ -11,6 +11,7 @@ mod maps;
 mod messages;
 mod outputs;
 mod points;
+mod recordings;
 mod records;
 mod sweeps;
 mod words;

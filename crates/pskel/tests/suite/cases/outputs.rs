@@ -230,12 +230,14 @@ fn exports_of_other_frames_or_shards_are_refused() {
     );
 }
 
-/// Another recording with the same name: other poses, boxes, times, tracks, or points.
+/// Another recording with the same name: other poses, boxes, cameras, categories, times, tracks, or points.
 #[test]
 fn shards_and_skeletons_of_another_recording_are_not_taken() {
-    let changes: [(&str, &str, Value); 4] = [
+    let changes: [(&str, &str, Value); 6] = [
         ("ego_pose", "/1/translation/0", json!(664_002.5)),
         ("sample_annotation", "/0/size/0", json!(2.5)),
+        ("calibrated_sensor", "/1/camera_intrinsic/0/0", json!(30.0)),
+        ("category", "/0/name", json!("human.pedestrian.adult")),
         ("instance", "/0/token", Value::Null),
         ("sample_annotation", "/0/num_lidar_pts", json!(2)),
     ];

@@ -148,12 +148,33 @@ fn invalid_points_of_all_kinds_keep_the_precision_of_the_others() {
 }
 
 #[test]
+fn the_origin_of_a_file_is_of_no_other() {
+    let case = Case::empty();
+    let origin = |name: &str| case.json(name)["origin"][0].as_f64().unwrap();
+    case.write_npy("munich.npy", &scene(MUNICH));
+    case.write_npy("berlin.npy", &scene(BERLIN));
+    case.write_npy("local.npy", &scene([1.0, 2.0, 3.0]));
+    let (told, _) = case.succeed("convert munich.npy --out z.ply");
+    assert!(told.contains("relative to the origin in z.ply.origin.json"), "{told}");
+    case.succeed("convert berlin.npy --out z.npy");
+    let near = |name: &str, [x, ..]: [f64; 3]| (origin(name) - x).abs() < 100.0;
+    assert!(near("z.ply.origin.json", MUNICH) && near("z.npy.origin.json", BERLIN));
+    // Points without an origin leave none beside them, except for what no run wrote.
+    case.succeed("convert local.npy --out z.ply");
+    assert!(!case.path().join("z.ply.origin.json").exists() && near("z.npy.origin.json", BERLIN));
+    case.write("z.npy.origin.json", "mine");
+    let ended = case.run("convert local.npy --out z.npy");
+    ended.refused("a file of somebody", &["expected an origin of points", "z.npy.origin.json"]);
+}
+
+#[test]
 fn converted_points_keep_millimeters_beside_an_invalid_one() {
     let case = Case::empty();
     let rows = [vec![[0.0; 6]], scene(MUNICH)].concat();
     case.write_npy("p.npy", &rows);
     case.succeed("convert p.npy --out out.ply");
-    let origin: Vec<f64> = serde_json::from_value(case.json("out.origin.json")["origin"].clone()).unwrap();
+    let origin: Vec<f64> =
+        serde_json::from_value(case.json("out.ply.origin.json")["origin"].clone()).unwrap();
     let points = cloud::read(&case.path().join("out.ply")).unwrap().points;
     for (row, point) in rows.iter().zip(points).skip(1) {
         for axis in 0..3 {

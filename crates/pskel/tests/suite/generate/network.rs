@@ -57,7 +57,9 @@ pub(crate) fn made(number: usize, frames: usize) -> TrainingClip {
 /// Returns a recording of some cameras in the format of a network.
 fn made_for(config: &NetworkConfig, views: usize, number: usize, frames: usize) -> TrainingClip {
     let cameras = (0..views).map(|view| format!("camera {view}")).collect();
-    let about = DriveInfo { log: format!("made {number}"), hz: 5.0, cameras, recipe: config.recipe.clone() };
+    let source = String::new();
+    let about =
+        DriveInfo { log: format!("made {number}"), source, hz: 5.0, cameras, recipe: config.recipe.clone() };
     let frame = |frame: usize| {
         let mut made = DriveFrame { action: [1.0, 0.1 * frame as f32, 0.02], ..DriveFrame::default() };
         for (view, y, x) in places(views, config.recipe.size) {

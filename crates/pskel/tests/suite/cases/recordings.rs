@@ -1,0 +1,138 @@
+//! Another recording with the name of an earlier one is not taken for it: in skeletons, rollouts, protocols and drives.
+
+use point_skeleton::cloud::Bounds;
+use point_skeleton::error::FileError;
+use point_skeleton::files::Inputs;
+use point_skeleton::skeleton::{
+    Checksum, Template, TemplateLibrary, TemplateOptions, TemplateReport, default_templates,
+};
+use serde_json::{Value, json};
+
+use crate::mcap_file::McapFile;
+use crate::simulate::{SIMULATE, built};
+use crate::tiny_log::{START, TinyLog, assert_failed, tree};
+
+/// Focal length of the camera in front.
+const FOCAL: (&str, &str) = ("calibrated_sensor", "/1/camera_intrinsic/0/0");
+const EXPORT: &str =
+    "export nuscenes:log --skeletons sks --out out --layout webdataset --out-size 32x48 --rasterizer cpu";
+
+/// Writes a library of one template to `templates`, without some of its points.
+fn write_templates(log: &TinyLog, left_out: usize) {
+    let (template, mut points) = default_templates().swap_remove(0);
+    points.truncate(points.len() - left_out);
+    let (bounds, xxh3) = (Bounds::of(&points).unwrap(), Checksum::of(&points));
+    let template = Template { points: points.len(), bounds, xxh3, ..template };
+    let made = (vec![(template, points)], TemplateReport::default());
+    let library = TemplateLibrary::new(Vec::new(), TemplateOptions::default(), made);
+    let target = TemplateLibrary::target(&log.path("templates"), &Inputs::default()).unwrap();
+    library.write::<FileError>(target, |_| Ok(())).unwrap();
+}
+
+#[test]
+fn rollouts_of_other_cameras_or_templates_are_not_continued() {
+    let log = built();
+    write_templates(&log, 0);
+    let simulate = format!("{SIMULATE} --maps depth --templates templates --steps");
+    log.succeed(&format!("{simulate} 1"));
+    let whole = tree(&log.path("out"));
+    log.change(FOCAL.0, FOCAL.1, json!(30.0));
+    let output = log.run(&format!("{simulate} 2 --resume"));
+    assert_failed(&output, 1, &["expected the frames of out/rollout.json", "use another folder"]);
+    // The skeleton is one of the other recording, which may be wanted.
+    assert_failed(&output, 1, &["warning: the skeleton was built from another recording", ": sk\n"]);
+    log.change(FOCAL.0, FOCAL.1, json!(48.0));
+    write_templates(&log, 1);
+    let output = log.run(&format!("{simulate} 2 --resume"));
+    assert_failed(&output, 1, &["the options of the rollout, library", "out/rollout.json"]);
+    assert!(!String::from_utf8_lossy(&output.stderr).contains("another recording"));
+    assert!(tree(&log.path("out")) == whole);
+}
+
+#[test]
+fn shards_with_other_templates_are_not_taken() {
+    let log = built();
+    write_templates(&log, 0);
+    let export = format!("{EXPORT} --templates templates");
+    log.succeed(&export);
+    let whole = tree(&log.path("out"));
+    let again = log.succeed(&export);
+    assert!(again.contains("1 were there already"), "{again}");
+    write_templates(&log, 1);
+    assert_failed(&log.run(&export), 1, &["expected a shard of this template library", "--verify"]);
+    assert!(tree(&log.path("out")) == whole);
+    let verified = log.succeed(&format!("{export} --verify"));
+    assert!(!verified.contains("there already"), "{verified}");
+    log.succeed(&export);
+}
+
+#[test]
+fn protocols_retain_rollouts_of_the_same_recording_alone() {
+    let log = built();
+    let protocol = "protocol lane-change nuscenes:log --skeletons sks --out p --rasterizer cpu --maps color --parts replay \
+                    --window 2 --generator fill";
+    for _ in 0..2 {
+        let output = log.run(protocol);
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    }
+    log.change(FOCAL.0, FOCAL.1, json!(30.0));
+    assert_failed(&log.run(protocol), 1, &["expected a skeleton of the recording tiny", "sks/tiny"]);
+    std::fs::remove_dir_all(log.path("sks")).unwrap();
+    let parts = ["part replay, clip tiny", "expected the frames of p/replay/tiny/rollout.json"];
+    assert_failed(&log.run(protocol), 1, &parts);
+}
+
+#[test]
+fn drives_are_of_the_recording() {
+    let log = TinyLog::new();
+    let net = r#"{"recipe": {"drawn": "32x64", "size": "16x32"}, "frames": 2, "channels": [16, 16, 16, 16], "width": 32,
+        "head": 16, "hidden": 32, "blocks": ["s", "t"]}"#;
+    std::fs::write(log.path("net.json"), net).unwrap();
+    let train = "train nuscenes:log --config net.json --out out --variants 1 --steps 0 --rasterizer cpu";
+    log.succeed(train);
+    let drives = tree(&log.path("out/drives"));
+    log.succeed(train);
+    for ((table, pointer), before, after) in [
+        (FOCAL, json!(48.0), json!(30.0)),
+        (("ego_pose", "/1/translation/0"), json!(START.x + 1.0), json!(START.x + 1.5)),
+    ] {
+        log.change(table, pointer, after);
+        let parts = ["expected a drive of this recording of tiny", "remove out/drives", "tiny-0.safetensors"];
+        assert_failed(&log.run(train), 1, &parts);
+        log.change(table, pointer, before);
+    }
+    assert!(tree(&log.path("out/drives")) == drives);
+    log.succeed(train);
+}
+
+#[test]
+fn a_lost_first_pose_is_told_and_moves_no_origin() {
+    for frame in [0, 2] {
+        let log = TinyLog::new();
+        log.change("ego_pose", &format!("/{frame}/translation"), json!([0, 0, 0]));
+        let jumps = "jumps of the ego by more than 1 km from one pose to the next";
+        let output = log.run("info --json nuscenes:log");
+        let info: Value = serde_json::from_slice(&output.stdout).unwrap();
+        assert_eq!(info["left_out"][jumps], json!(1));
+        let built = log.succeed("build nuscenes:log --out sk");
+        assert!(built.contains(&format!("1 {jumps}")), "{built}");
+        let output = log.run("convert sk --out clouds");
+        let told = String::from_utf8_lossy(&output.stderr);
+        assert!(output.status.success() && told.contains("lie more than 16384 m from the origin"), "{told}");
+        let origin = &log.json("clouds/origins.json")["background"]["origin"];
+        let origin: [f64; 3] = serde_json::from_value(origin.clone()).unwrap();
+        assert!((glam::DVec3::from(origin) - START).abs().max_element() < 100.0, "{origin:?}");
+        log.succeed(&format!("{SIMULATE} --steps 1 --maps depth --mcap a.mcap"));
+        let read = McapFile::of(&log, "a.mcap");
+        let first = if frame == 0 { START + glam::DVec3::X } else { START };
+        assert_eq!(read.metadata["log"]["map_origin"], json!(first.to_array()).to_string());
+    }
+    let log = built();
+    let output = log.run("convert sk --out clouds");
+    assert!(
+        output.status.success() && !String::from_utf8_lossy(&output.stderr).contains("note"),
+        "{output:?}"
+    );
+    let info: Value = serde_json::from_slice(&log.run("info --json nuscenes:log").stdout).unwrap();
+    assert!(!info["left_out"].to_string().contains("jumps"), "{}", info["left_out"]);
+}
