@@ -36,9 +36,9 @@ impl PointFormat {
         match self {
             Self::Npy => FileKind {
                 name: "an NPY file of points",
-                // Headers of such shapes are padded to 128 bytes.
+                // Headers of such shapes are padded to 128 bytes. NumPy writes shapes without the last comma.
                 begin: b"\x93NUMPY\x01\x00\x76\x00{'descr': '<f4', 'fortran_order': False, 'shape': (",
-                marks: &[b", 6), }", b", 7), }"],
+                marks: &[b", 6, ), }", b", 7, ), }"],
             },
             Self::Ply => FileKind {
                 name: "a PLY file of pskel",

@@ -224,7 +224,7 @@ mod tests {
         let format =
             RowFormat { rows: 1 << 50, double: true, colors: ColorValues::Levels, path: Path::new("p.npy") };
         let message = collect(&format, |_| panic!("read")).unwrap_err().to_string();
-        let expected = "cannot read: a cloud of 1125899906842624 points needs 16384.0 PiB of memory, but ";
+        let expected = "cannot read: a cloud of 1125899906842624 points needs 16.0 PiB of memory, but ";
         assert!(message.starts_with(expected) && message.ends_with(": p.npy"), "{message}");
     }
 

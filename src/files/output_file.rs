@@ -214,9 +214,11 @@ mod tests {
                 "{message}"
             );
         }
-        for (name, expected) in
-            [("none/new", "cannot read"), ("own/new", "expected a file in a folder"), (".", "found a folder")]
-        {
+        for (name, expected) in [
+            ("none/new", "cannot read"),
+            ("own/new", "expected a file in a folder"),
+            (".", "one that ends without a name"),
+        ] {
             let message = open(name).unwrap_err().to_string();
             assert!(message.contains(expected), "{message}");
         }

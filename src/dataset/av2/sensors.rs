@@ -9,7 +9,6 @@ use crate::dataset::clock::{Offset, Unit};
 use crate::dataset::notes::{NO_IMAGE, NO_SWEEP, Notes, note};
 use crate::dataset::{Frame, Gap, ImageRecord, RigCamera, SweepRecord};
 use crate::error::FileError;
-use crate::files::input::is_there;
 use crate::geometry::Pose;
 
 /// Maximum time difference between a frame and its image, nanoseconds. Ring cameras run at 20 Hz.
@@ -139,7 +138,7 @@ pub(super) fn add_images(
         records.push((t_ns, record));
     }
     // The names of images are not known, but that of their folder is.
-    let has_folder = is_there(&folder)?;
+    let has_folder = folder.is_dir();
     let missing = |t_us: i64| match has_folder {
         true => Gap::record(NO_IMAGE, format!("frame at {t_us}"), &folder),
         false => Gap::missing(NO_IMAGE, folder.clone()),

@@ -62,7 +62,8 @@ impl Builder<'_> {
             }
             let is_own = |cell: &Cell| matches!(cell, Cell::Track { log: other, .. } if *other == log);
             let boxes: usize = stream.frames.iter().map(|frame| frame.boxes.len()).sum();
-            if boxes > 0 && report.sweeps > 0 && !self.done.track_sweeps.keys().any(is_own) {
+            // Without any point, the cause is another one.
+            if boxes > 0 && report.background_points > 0 && !self.done.track_sweeps.keys().any(is_own) {
                 *report.notes.entry(NO_ACTOR.to_owned()).or_default() += boxes;
             }
         }

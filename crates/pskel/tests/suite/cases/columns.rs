@@ -330,7 +330,8 @@ fn device_columns_of_pcd_files_are_believed_unless_they_hold_beams() {
     };
     assert_eq!(check(&|_| 1), (false, 31, String::new()));
     // Halves of the scene.
-    assert_eq!(check(&|k| if k < 6400 { 0 } else { 4 }), (true, 4, String::new()));
+    let merged = "sweeps of merged LiDARs (--ring-is beam if not)".to_owned();
+    assert_eq!(check(&|k| if k < 6400 { 0 } else { 4 }), (true, 4, merged));
     for beams in [&(|k: usize| (k % 32) as u8) as &dyn Fn(usize) -> u8, &|k: usize| (k % 4) as u8] {
         let (devices, rings, notes) = check(beams);
         assert_eq!((devices, rings), (false, 31));
