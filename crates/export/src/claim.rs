@@ -100,12 +100,12 @@ fn option(name: &str, value: Option<&Value>) -> String {
     format!("--{} {}", name.replace('_', "-"), value.map_or("default".to_owned(), Value::to_string))
 }
 
-/// Returns the name of a file in a folder, other than that of the options under their temporary name.
+/// Returns the name of a file in a folder, other than the options, also under their temporary name.
 fn foreign_file(folder: &Path) -> Result<Option<String>, FileError> {
     for entry in std::fs::read_dir(folder).map_err(FileError::io("read", folder))? {
         let name = entry.map_err(FileError::io("read", folder))?.file_name().to_string_lossy().into_owned();
         // File systems may have a folder of lost files in a mount point.
-        if !name.starts_with(&format!(".{OPTIONS}")) && name != "lost+found" {
+        if name != OPTIONS && !name.starts_with(&format!(".{OPTIONS}")) && name != "lost+found" {
             return Ok(Some(name));
         }
     }

@@ -84,7 +84,7 @@ fn damaged_logs_are_errors_that_leave_nothing() {
     damage(&table, &["ego_pose.json", "cannot read"]);
     damage(
         &|log| log.change("sample_data", "/4/ego_pose_token", json!("gone")),
-        &["ego_pose.json", "token gone, found none", "d1CAM_FRONT"],
+        &["ego_pose.json", "whose ego_pose gone is missing", "d1CAM_FRONT"],
     );
     damage(
         &|log| log.change("sample_annotation", "/2/size/1", json!(0.0)),
@@ -104,7 +104,7 @@ fn damaged_logs_are_errors_that_leave_nothing() {
     );
     damage(
         &|log| log.change("sample_annotation", "/2/instance_token", json!("nobody")),
-        &["instance.json", "token nobody, found none", "a1car"],
+        &["instance.json", "whose instance nobody is missing", "a1car"],
     );
     damage(
         &|log| log.change("sample", "/1/next", json!("nowhere")),

@@ -314,7 +314,7 @@ fn damaged_rollouts_are_refused() {
     let bytes = std::fs::read(&image).unwrap();
     truth(6, 1).save(&true_image).unwrap();
     std::fs::write(&image, &bytes[..bytes.len() - 30]).unwrap();
-    rollouts.fail("a", 1, &["expected a JPEG or PNG image, found", "000004/generated/CAM_FRONT.png"]);
+    rollouts.fail("a", 1, &["expected a whole PNG image, found", "000004/generated/CAM_FRONT.png"]);
     std::fs::write(&image, bytes).unwrap();
     let kind = rollouts.step("a", 4).join("generated.json");
     std::fs::write(&kind, r#"{"kind": "painted"}"#).unwrap();
