@@ -51,7 +51,7 @@ use anyhow::Context;
 use clap::{Parser, Subcommand};
 use point_skeleton::error::with_causes;
 use point_skeleton::files::lacks_locks;
-use point_skeleton::memory::{Need, reserve, variable_limit};
+use point_skeleton::memory::variable_limit;
 use point_skeleton::threads::start_pool;
 
 pub use self::export::{ExportCommand, ListedExport};
@@ -153,9 +153,6 @@ pub fn run(args: impl Iterator<Item = OsString>) -> u8 {
 /// Exit code after an error.
 const FAILURE: u8 = 1;
 
-/// Memory that no command can do without.
-const LEAST_BYTES: u64 = 40 << 20;
-
 /// Invalid combination of options that the parser cannot detect.
 #[derive(Debug, thiserror::Error)]
 #[error("{0}")]
@@ -165,8 +162,6 @@ struct WrongUsage(String);
 fn prepare() -> anyhow::Result<()> {
     threads::check_environment()?;
     variable_limit().map_err(|error| WrongUsage(error.to_string()))?;
-    let need = || Need { what: "every command".to_owned(), bytes: LEAST_BYTES, advice: "raise the limit" };
-    drop(reserve(LEAST_BYTES, need)?);
     survive_file_limits()?;
     signals::install().map_err(|error| anyhow::anyhow!("cannot handle signals: {error}"))?;
     Ok(start_pool()?)

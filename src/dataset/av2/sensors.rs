@@ -137,8 +137,8 @@ pub(super) fn add_images(
         let record = ImageRecord { token, channel, path, t_us, global_from_ego, ego_from_camera, camera };
         records.push((t_ns, record));
     }
-    // The names of images are not known, but that of their folder is.
-    let has_folder = folder.is_dir();
+    // The names of images are not known, but that of their folder is. A log without any such folder has no images.
+    let has_folder = folder.is_dir() || !folder.parent().is_some_and(Path::is_dir);
     let missing = |t_us: i64| match has_folder {
         true => Gap::record(NO_IMAGE, format!("frame at {t_us}"), &folder),
         false => Gap::missing(NO_IMAGE, folder.clone()),

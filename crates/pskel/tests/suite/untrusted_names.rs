@@ -226,12 +226,13 @@ fn messages_show_names_as_they_are() {
         unknown.refused("locator", &["#SCENE to name one of", "scene.json"]);
     }
     log.change("scene", "/0/name", json!("tiny"));
-    for (table, pointer) in
-        [("instance", "/0/category_token"), ("sample", "/0/next"), ("scene", "/0/log_token")]
-    {
+    for (table, pointer, text) in [
+        ("instance", "/0/category_token", "whose category \\x1b[31myyy"),
+        ("sample", "/0/next", "to hold token \\x1b[31myyy"),
+        ("scene", "/0/log_token", "to hold token \\x1b[31myyy"),
+    ] {
         log.change(table, pointer, json!(format!("\u{1b}[31m{}", "y".repeat(100_000))));
-        run(&log.path(""), &["info", "nuscenes:log"])
-            .refused(table, &["to hold token \\x1b[31myyy", "(1000"]);
+        run(&log.path(""), &["info", "nuscenes:log", "--missing", "error"]).refused(table, &[text, "(1000"]);
         log.change(
             table,
             pointer,

@@ -10,7 +10,7 @@ use serde_json::Value;
 use super::Case;
 use crate::av2_log::{self, TinyAv2};
 use crate::common::shared;
-use crate::nuplan_made::{Made, sweep_file};
+use crate::nuplan_made::{self, Made, sweep_file};
 use crate::tiny_log::{FRAMES, TinyLog, sweep};
 
 /// Builds a log of a case, and returns the content of `skeleton.json`.
@@ -321,9 +321,9 @@ fn write_devices(path: &Path, device: impl Fn(usize) -> u8) {
 #[test]
 fn device_columns_of_pcd_files_are_believed_unless_they_hold_beams() {
     let made = Made::new();
-    let path = made.blob(&sweep_file(0));
     let check = |device: &dyn Fn(usize) -> u8| {
-        write_devices(&path, device);
+        // The sweeps of a log are judged together.
+        (0..nuplan_made::FRAMES).for_each(|frame| write_devices(&made.blob(&sweep_file(frame)), device));
         let sweep = read(&made).unwrap();
         let rings = sweep.points.iter().map(|p| p.ring).max().unwrap();
         (sweep.devices, rings, sweep.notes.into_keys().collect::<Vec<_>>().join(";"))

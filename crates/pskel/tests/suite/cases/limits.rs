@@ -312,7 +312,6 @@ fn declared_sizes_are_compared_with_the_address_space() {
             "evaluate rollout --features wide.npy wide.npy".to_owned(),
             "features of 20000 rows of 10000 numbers needs 2.2 GiB",
         ),
-        (60_000, format!("info {LOG}"), "every command needs 40.0 MiB of memory, but "),
         (
             500_000,
             "town --frames 1 --size 28x50 --out out/town".to_owned(),
