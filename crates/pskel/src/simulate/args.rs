@@ -255,15 +255,15 @@ impl SimulateArgs {
     /// Reads the inputs.
     pub(super) fn inputs(&self) -> anyhow::Result<Inputs> {
         let mut dataset = self.roots.open_by(&self.log, &self.opener)?;
+        anyhow::ensure!(
+            self.ego_offset.is_none() || dataset.view_renderer().is_some(),
+            "expected a log town:.. with --ego-offset, whose images can be rendered there, found {}",
+            self.log
+        );
+        // The skeleton is of the recording, in which the ego has not moved.
         let skeleton = skeletons::open_for(&self.skeleton, dataset.log())?;
         if let Some(offset) = self.ego_offset {
-            let moved = MovedEgo::new(dataset, offset).with_context(|| {
-                format!(
-                    "expected a log town:.. with --ego-offset, whose images can be rendered there, found {}",
-                    self.log
-                )
-            })?;
-            dataset = Box::new(moved);
+            dataset = Box::new(MovedEgo::new(dataset, offset).context("the ego cannot be moved")?);
         }
         let log = dataset.log();
         let prompt = self.annotations.as_deref().map_or(Ok(PromptParts::default()), PromptParts::read)?;
