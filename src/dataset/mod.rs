@@ -10,6 +10,10 @@ mod category;
 mod clock;
 #[cfg(any(feature = "nuscenes", feature = "nuplan", feature = "av2"))]
 mod degenerate;
+#[cfg_attr(
+    not(any(test, feature = "nuscenes", feature = "nuplan", feature = "av2")),
+    expect(dead_code, reason = "only readers count jumps")
+)]
 mod ego_jumps;
 mod ego_track;
 mod fingerprint;
