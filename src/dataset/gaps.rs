@@ -60,6 +60,7 @@ impl Gap {
     }
 
     /// Creates the gap of a file that does not exist.
+    #[cfg(any(feature = "nuscenes", feature = "nuplan", feature = "av2"))]
     pub(super) fn missing(kind: &'static str, path: PathBuf) -> Self {
         Self { kind, place: GapPlace::File(path) }
     }

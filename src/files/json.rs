@@ -21,6 +21,7 @@ mod identity;
 mod shape;
 mod wording;
 
+#[cfg(feature = "nuscenes")]
 pub(crate) use shape::object_instead_of_array;
 
 /// UTF-8 byte order mark.

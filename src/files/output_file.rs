@@ -151,7 +151,9 @@ fn check_other_outputs(path: &Path) -> Result<(), FileError> {
 /// Checks that a path ends with the name of a file, which is not too long.
 fn check_name(path: &Path) -> Result<(), FileError> {
     let text = path.as_os_str().as_encoded_bytes();
-    if text.is_empty() || [b"/".as_slice(), b"/."].iter().any(|end| text.ends_with(end)) {
+    let is_unnamed = text.is_empty() || [b"/".as_slice(), b"/."].iter().any(|end| text.ends_with(end));
+    // Folders that exist are found below.
+    if is_unnamed && !path.is_dir() {
         return Err(FileError::content("the path of a file", "one that ends without a name", path));
     }
     match path.symlink_metadata() {

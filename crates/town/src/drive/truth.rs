@@ -6,7 +6,7 @@ use glam::DVec3;
 use image::RgbImage;
 use point_skeleton::dataset::{ImageRecord, PosedActor};
 use point_skeleton::geometry::{Pose, View};
-use point_skeleton::memory::{MemoryError, Need, Reservation, reserve};
+use point_skeleton::memory::{Need, Reservation, reserve};
 
 use super::error::TownError;
 use super::record::seconds;
@@ -88,7 +88,7 @@ impl Town {
     fn film(&self, t_us: i64, figures: &[Figure], views: &[View]) -> Result<Vec<GroundTruthView>, TownError> {
         let mut film = self.film.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
         if film.is_none() {
-            let _meshes = reserve_meshes().map_err(MeshRenderError::from)?;
+            let _meshes = reserve_meshes()?;
             *film = Some(TownRenderer::new(self.meshes(), &self.options)?);
         }
         let Some(film) = film.as_mut() else { return Ok(Vec::new()) };
@@ -104,9 +104,10 @@ impl Town {
 }
 
 /// Reserves the memory of the town's meshes and of their renderer, which no option changes.
-fn reserve_meshes() -> Result<Reservation, MemoryError> {
+pub(super) fn reserve_meshes() -> Result<Reservation, TownError> {
     const BYTES: u64 = 512 << 20;
-    reserve(BYTES, || Need { what: "the town".to_owned(), bytes: BYTES, advice: "no option needs less" })
+    let need = || Need { what: "the town".to_owned(), bytes: BYTES, advice: "no option needs less" };
+    Ok(reserve(BYTES, need).map_err(MeshRenderError::from)?)
 }
 
 fn view_of(record: &ImageRecord) -> View {

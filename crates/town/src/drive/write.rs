@@ -7,6 +7,7 @@ use point_skeleton::dataset::{Dataset, DatasetError};
 use point_skeleton::error::FileError;
 use point_skeleton::files::{FileName, write_json};
 
+use super::truth::reserve_meshes;
 use super::{Town, TownError};
 use crate::view::GroundTruthView;
 
@@ -38,8 +39,9 @@ impl Town {
     /// `frame_done` with the index of each written frame.
     ///
     /// # Errors
-    /// Fails if an image cannot be rendered or a file cannot be written.
+    /// Fails if memory is insufficient, or if an image cannot be rendered or a file cannot be written.
     pub fn write(&self, folder: &Path, frame_done: &dyn Fn(usize)) -> Result<(), WriteError> {
+        drop(reserve_meshes()?); // before the sweeps, which need the meshes too
         let layers = self.map_layers();
         LogWriter { version: VERSION, map: Some(&layers), frame_done }.write(folder, self)?;
         let options = BTreeMap::from([("town", self.options.to_string())]);

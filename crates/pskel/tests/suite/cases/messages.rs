@@ -349,5 +349,5 @@ fn values_of_recipes_and_large_maps_are_named() {
         }
     }
     let output = log.run("build nuscenes:log --out new");
-    assert_failed(&output, 1, &["that an image colors", "and 0 images (6 damaged image files"]);
+    assert_failed(&output, 1, &["that an image colors", "and 0 images (", "6 damaged image files"]);
 }
