@@ -50,8 +50,10 @@ def finish(rollout: "subprocess.Popen[str]", out: Path) -> Any:
     return json.loads((out / "metrics.json").read_text())
 
 
-def build(log: str, out: Path, *options: str) -> Path:
-    command = [sys.executable, "-m", "pskel", "build", log, f"--out={out}", *options]
+def build(log: str, out: Path) -> Path:
+    # The policy sees routes, not images: a coarse skeleton of few frames serves as well.
+    coarse = ["--frames=0..4", "--voxel=0.2"]
+    command = [sys.executable, "-m", "pskel", "build", log, f"--out={out}", *coarse]
     subprocess.run(command, check=True, capture_output=True)
     return out
 
@@ -81,8 +83,7 @@ def test_route_follower_drives_the_town_alone_and_in_four_sessions(server: tuple
 @pytest.mark.skipif(not PANDASET.exists(), reason="pandaset-002 is not there (set PSKEL_SHARED)")
 def test_route_follower_drives_a_recorded_log(server: tuple[str, Path], tmp_path: Path) -> None:
     log, out = f"nuscenes:{PANDASET}", tmp_path / "out"
-    # The policy sees routes, not images: a coarse skeleton of few frames serves as well.
-    skeleton = build(log, tmp_path / "skeleton", "--frames=0..4", "--voxel=0.2")
+    skeleton = build(log, tmp_path / "skeleton")
     metrics = finish(start(log, skeleton, out, server[0], "--cameras=alpasim", "--encoding=jpeg"), out)
     assert (metrics["ended"], metrics["steps"]) == ("steps", 60)
     # The policy follows the route at 8 m/s and knows no other vehicles.
