@@ -287,6 +287,7 @@ fn declared_sizes_are_compared_with_the_address_space() {
         property float z\nend_header\n";
     write_sparse(&log, "a.ply", ply.as_bytes(), 12_000_000_000);
     write_sparse(&log, "features.npy", &npy_header("<f4", 1_000_000, 10_000), 40_000_000_000);
+    write_sparse(&log, "wide.npy", &npy_header("<f4", 20_000, 10_000), 800_000_000);
     let generate = format!(
         "generate {LOG} --skeleton sk --every 1 --generator fill --window 2 --maps color,depth,class --rasterizer cpu \
          --out rollout"
