@@ -54,8 +54,9 @@ def main():
         for name, log, frames, size in logs:
             if not size:
                 # Exits with 1 for the missing images of an excerpt.
-                info = subprocess.run([pskel, "info", "--json", log], capture_output=True).stdout
-                print(hashlib.sha256(info).hexdigest()[:24], 1, f"{name} info", flush=True)
+                info = subprocess.run([pskel, "info", "--json", log], capture_output=True)
+                assert info.returncode in (0, 1), info.stderr
+                print(hashlib.sha256(info.stdout).hexdigest()[:24], 1, f"{name} info", flush=True)
                 continue
             skeleton = scratch / f"{name}-skeleton"
             run("build", log, "--out", skeleton, "--templates")

@@ -81,7 +81,7 @@ pub(crate) fn open_regular(path: &Path) -> Result<(File, u64), FileError> {
     check_kind(&about, path)?;
     let mut head = [0; sniff::HEAD_BYTES];
     let bytes = file.read_at(&mut head, 0).map_err(FileError::io("read", path))?;
-    match sniff::placeholder(&head[..bytes]) {
+    match sniff::undownloaded(&head[..bytes]) {
         None => Ok((file, about.len())),
         Some(found) => Err(FileError::content("the content of the file", found, path)),
     }

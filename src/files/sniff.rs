@@ -40,7 +40,7 @@ const HTML: [&str; 3] = ["<!doctype html", "<html", "<head"];
 
 /// Names content that stands in for a file that was never downloaded. No format that this project reads begins like
 /// it.
-pub(crate) fn placeholder(head: &[u8]) -> Option<&'static str> {
+pub(crate) fn undownloaded(head: &[u8]) -> Option<&'static str> {
     let text = start_of_text(head);
     if text.starts_with("version https://git-lfs.github.com/spec/") {
         return Some("a Git LFS pointer (`git lfs pull` fetches the file)");
@@ -65,7 +65,7 @@ pub(crate) fn marked(head: &[u8]) -> Option<&'static str> {
     if head.is_empty() {
         return Some("an empty file");
     }
-    if let Some(found) = placeholder(head) {
+    if let Some(found) = undownloaded(head) {
         return Some(found);
     }
     if let Some((_, found)) = MAGIC.iter().find(|(magic, _)| head.starts_with(magic)) {
@@ -122,7 +122,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn placeholders_are_recognized() {
+    fn files_that_were_not_downloaded_are_recognized() {
         let lfs = b"version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 1\n";
         let annex = b"/annex/objects/SHA256E-s42--0.jpg\n";
         let html = b"\xef\xbb\xbf\n <!DOCTYPE HTML><html><body>Sign in</body></html>";
@@ -130,13 +130,13 @@ mod tests {
         for (bytes, part) in
             [(&lfs[..], "git lfs pull"), (annex, "git annex get"), (html, "HTML"), (s3, "XML error page")]
         {
-            assert!(placeholder(bytes).is_some_and(|found| found.contains(part)), "{part}");
-            assert_eq!(marked(bytes), placeholder(bytes));
+            assert!(undownloaded(bytes).is_some_and(|found| found.contains(part)), "{part}");
+            assert_eq!(marked(bytes), undownloaded(bytes));
         }
         let svg = b"<?xml version=\"1.0\"?><svg/>";
-        assert_eq!((placeholder(svg), marked(svg)), (None, Some("an XML file")));
+        assert_eq!((undownloaded(svg), marked(svg)), (None, Some("an XML file")));
         for other in [&b""[..], b"[]", b"ply\n", b"\0\0\0\0", b"version 1", b"\xff\xd8\xff\xe0"] {
-            assert_eq!(placeholder(other), None);
+            assert_eq!(undownloaded(other), None);
         }
     }
 
