@@ -219,7 +219,7 @@ mod tests {
         for (name, expected) in [
             ("none/new", "cannot read"),
             ("own/new", "expected a file in a folder"),
-            (".", "one that ends without a name"),
+            (".", "expected a regular file or none, found a folder"),
         ] {
             let message = open(name).unwrap_err().to_string();
             assert!(message.contains(expected), "{message}");
