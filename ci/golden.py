@@ -55,7 +55,7 @@ def main():
             if not size:
                 # Exits with 1 for the missing images of an excerpt.
                 info = subprocess.run([pskel, "info", "--json", log], capture_output=True)
-                assert info.returncode in (0, 1), info.stderr
+                assert info.returncode in (0, 1) and json.loads(info.stdout)["frames"], info.stderr
                 print(hashlib.sha256(info.stdout).hexdigest()[:24], 1, f"{name} info", flush=True)
                 continue
             skeleton = scratch / f"{name}-skeleton"

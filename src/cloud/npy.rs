@@ -2,7 +2,8 @@
 //!
 //! # How it works
 //! The declared size of the header is validated against the file, and its text against the syntax of a plain array,
-//! before parsing. The data size is validated against the file before anything is allocated. Rows are read in blocks.
+//! before parsing (`npy_header`). The data size is validated against the file before anything is allocated. Rows are
+//! read in blocks.
 
 use std::io::{BufReader, Read, Seek, SeekFrom, Write};
 use std::path::Path;
@@ -10,17 +11,14 @@ use std::path::Path;
 use npyz::{NpyHeader, Order, WriterBuilder};
 
 use super::colors::ColorValues;
+use super::npy_header::{check_order, read_header};
 use super::rows::{Row, RowFormat, collect};
 use super::{Point, PointFile};
 use crate::error::FileError;
 use crate::files::input::open_regular;
-use crate::files::{sniff, write_whole};
+use crate::files::write_whole;
 use crate::memory::{Need, reserve};
 
-/// Maximum header length in bytes, as in NumPy.
-const MAX_HEADER_BYTES: usize = 10_000;
-/// Bytes before the text of a header: magic, version, and length.
-const FIXED_BYTES: usize = 10;
 /// Rows per block.
 const BLOCK_ROWS: usize = 1 << 16;
 
@@ -44,9 +42,7 @@ pub fn rows<const COLUMNS: usize>(bytes: &[u8], path: &Path) -> Result<Vec<[f64;
         FileError::content(format!("an array of <f2, <f4 or <f8 [N, {COLUMNS}]"), found, path)
     };
     let mut data = bytes;
-    let header_bytes = read_header_bytes(&mut data, bytes.len() as u64, path)?;
-    let header = NpyHeader::from_reader(&header_bytes[..])
-        .map_err(|e| FileError::content("an NPY header", e.to_string(), path))?;
+    let (header, _) = read_header(&mut data, bytes.len() as u64, path)?;
     let (kind, shape) = (header.dtype().descr(), header.shape());
     let (Some(scalar), &[count, columns]) = (Scalar::from_descr(&kind), shape) else {
         return Err(wrong(format!("{kind} {shape:?}")));
@@ -110,12 +106,10 @@ fn chunks<const N: usize>(block: &[u8]) -> impl Iterator<Item = [u8; N]> {
 }
 
 fn decode(mut reader: impl Read + Seek, file_bytes: u64, path: &Path) -> Result<PointFile, FileError> {
-    let header_bytes = read_header_bytes(&mut reader, file_bytes, path)?;
-    let header = NpyHeader::from_reader(header_bytes.as_slice())
-        .map_err(|e| FileError::content("an NPY header", e.to_string(), path))?;
+    let (header, header_bytes) = read_header(&mut reader, file_bytes, path)?;
     let (scalar, rows, columns) = check_header(&header, path)?;
     let row_bytes = columns * scalar.bytes();
-    let data_bytes = file_bytes.saturating_sub(header_bytes.len() as u64);
+    let data_bytes = file_bytes.saturating_sub(header_bytes);
     if rows.checked_mul(row_bytes as u64).is_none_or(|needed| needed > data_bytes) {
         let expected = format!("{rows} rows of {row_bytes} bytes");
         return Err(FileError::content(expected, format!("{data_bytes} bytes of data"), path));
@@ -125,8 +119,7 @@ fn decode(mut reader: impl Read + Seek, file_bytes: u64, path: &Path) -> Result<
     let mut block = vec![0; BLOCK_ROWS.min(rows) * row_bytes];
     let mut numbers = Vec::new();
     collect(&format, |visit| {
-        let start = SeekFrom::Start(header_bytes.len() as u64);
-        reader.seek(start).map_err(FileError::io("read", path))?;
+        reader.seek(SeekFrom::Start(header_bytes)).map_err(FileError::io("read", path))?;
         let mut left = rows;
         while left > 0 {
             let take = left.min(BLOCK_ROWS);
@@ -145,68 +138,6 @@ fn decode(mut reader: impl Read + Seek, file_bytes: u64, path: &Path) -> Result<
     })
 }
 
-/// Reads the magic, version, length and text of the header. Rejects any text whose parsing could exhaust memory or
-/// the stack.
-fn read_header_bytes(reader: &mut impl Read, file_bytes: u64, path: &Path) -> Result<Vec<u8>, FileError> {
-    let no_npy = |found: &str| FileError::content("an NPY file", found, path);
-    let mut bytes = Vec::new();
-    reader.by_ref().take(FIXED_BYTES as u64).read_to_end(&mut bytes).map_err(FileError::io("read", path))?;
-    if !bytes.starts_with(b"\x93NUMPY") {
-        let rest = reader.by_ref().take(sniff::HEAD_BYTES as u64).read_to_end(&mut bytes);
-        rest.map_err(FileError::io("read", path))?;
-        return Err(no_npy(&sniff::described(&bytes).unwrap_or_else(|| "other content".to_owned())));
-    }
-    let cut = || no_npy(&format!("{file_bytes} bytes (cut off)"));
-    let fixed: [u8; FIXED_BYTES] = bytes.as_slice().try_into().map_err(|_| cut())?;
-    let mut text_len = usize::from(u16::from_le_bytes([fixed[8], fixed[9]]));
-    if fixed[6] > 1 {
-        let mut high = [0; 2];
-        reader.read_exact(&mut high).map_err(|_| cut())?;
-        bytes.extend(high);
-        text_len |= usize::from(u16::from_le_bytes(high)) << 16;
-    }
-    let most = MAX_HEADER_BYTES.min(file_bytes.saturating_sub(bytes.len() as u64) as usize);
-    if text_len > most {
-        let expected = format!("an NPY header of at most {most} bytes");
-        return Err(FileError::content(expected, text_len.to_string(), path));
-    }
-    let start = bytes.len();
-    bytes.resize(start + text_len, 0);
-    reader.read_exact(&mut bytes[start..]).map_err(FileError::io("read", path))?;
-    if !is_plain(&bytes[start..]) {
-        let expected = "an NPY header that describes a plain array";
-        return Err(FileError::content(expected, "something else", path));
-    }
-    Ok(bytes)
-}
-
-/// Returns whether a header text is as simple as that of a numeric array. Nesting is limited, and the number of
-/// (decimal) digits is so small that no product of the numbers can overflow 64 bits.
-fn is_plain(text: &[u8]) -> bool {
-    let count = |wanted: &dyn Fn(u8) -> bool| text.iter().filter(|b| wanted(**b)).count();
-    let prefixed = |w: &[u8]| w[0] == b'0' && matches!(w[1].to_ascii_lowercase(), b'x' | b'o' | b'b');
-    text.is_ascii()
-        && !text.contains(&b'\\')
-        && count(&|b| matches!(b, b'(' | b'[' | b'{')) <= 16
-        && nesting(text) <= 3
-        && count(&|b| b.is_ascii_digit()) <= 19
-        && !text.windows(2).any(prefixed)
-}
-
-/// Maximum nesting depth of brackets. Parsing time doubles with each level.
-fn nesting(text: &[u8]) -> usize {
-    let (mut depth, mut deepest) = (0_usize, 0);
-    for byte in text {
-        match byte {
-            b'(' | b'[' | b'{' => depth += 1,
-            b')' | b']' | b'}' => depth = depth.saturating_sub(1),
-            _ => {}
-        }
-        deepest = deepest.max(depth);
-    }
-    deepest
-}
-
 /// Validates the header and returns the number type, rows and columns.
 fn check_header(header: &NpyHeader, path: &Path) -> Result<(Scalar, u64, usize), FileError> {
     let descr = header.dtype().descr();
@@ -219,9 +150,7 @@ fn check_header(header: &NpyHeader, path: &Path) -> Result<(Scalar, u64, usize),
             return Err(FileError::content("shape [N, 6] or [N, 7]", found, path));
         }
     };
-    if header.order() == Order::Fortran {
-        return Err(FileError::content("C order", "Fortran order", path));
-    }
+    check_order(header, path)?;
     if rows == 0 || rows > u64::from(u32::MAX) - 1 {
         return Err(FileError::content("1 to 4294967294 points", rows.to_string(), path));
     }
@@ -236,9 +165,7 @@ fn check_header(header: &NpyHeader, path: &Path) -> Result<(Scalar, u64, usize),
 pub fn read_features(path: &Path) -> Result<(usize, Vec<f64>), FileError> {
     let (file, bytes) = open_regular(path)?;
     let mut reader = BufReader::new(file);
-    let header_bytes = read_header_bytes(&mut reader, bytes, path)?;
-    let header = NpyHeader::from_reader(header_bytes.as_slice())
-        .map_err(|error| FileError::content("an NPY header", error.to_string(), path))?;
+    let (header, header_bytes) = read_header(&mut reader, bytes, path)?;
     let descr = header.dtype().descr();
     let scalar = Scalar::from_descr(&descr).filter(|scalar| *scalar != Scalar::F16);
     let scalar =
@@ -250,11 +177,9 @@ pub fn read_features(path: &Path) -> Result<(usize, Vec<f64>), FileError> {
             return Err(FileError::content("features of shape [N, D]", found, path));
         }
     };
-    if header.order() == Order::Fortran {
-        return Err(FileError::content("C order", "Fortran order", path));
-    }
+    check_order(&header, path)?;
     let needed = rows.checked_mul(columns).and_then(|count| count.checked_mul(scalar.bytes() as u64));
-    let left = bytes.saturating_sub(header_bytes.len() as u64);
+    let left = bytes.saturating_sub(header_bytes);
     let needed = needed.filter(|needed| *needed <= left).ok_or_else(|| {
         let expected = format!("{rows} rows of {columns} numbers of {} bytes", scalar.bytes());
         FileError::content(expected, format!("{left} bytes of data"), path)

@@ -63,18 +63,15 @@ impl CategoryKind {
             }
             _ => {}
         }
-        let first = |kind: Self, word: &str| parts.iter().any(|part| part == word).then_some(kind);
-        let person = first(Bicycle, "bicycle").or(first(Motorcycle, "motorcycle"));
-        let person = person.or(first(Pedestrian, "pedestrian"));
-        person
-            .or_else(|| match group.as_str() {
-                // `other` is a vehicle here.
-                "vehicle" => {
-                    rest.iter().find_map(|word| of_word(&format!("{word}vehicle")).or(of_vehicle(word)))
-                }
-                _ => None,
-            })
-            .or_else(|| parts.iter().find_map(|word| of_word(word)))
+        let decisive = [(Bicycle, "bicycle"), (Motorcycle, "motorcycle"), (Pedestrian, "pedestrian")];
+        let found = decisive.into_iter().find(|(_, word)| parts.iter().any(|part| part == word));
+        if let Some((kind, _)) = found {
+            return Some(kind);
+        }
+        // `other` is a vehicle here.
+        let below = |word: &String| of_word(&format!("{word}vehicle")).or(of_vehicle(word));
+        let vehicle = if group == "vehicle" { rest.iter().find_map(below) } else { None };
+        vehicle.or_else(|| parts.iter().find_map(|word| of_word(word)))
     }
 
     /// Returns the coarse class.

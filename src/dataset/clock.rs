@@ -83,7 +83,7 @@ impl Offset {
     }
 
     /// Compares ascending times with the first and last of a span. Returns the offset of the first time from the first of the
-    /// span, if no time is within the span or the tolerance.
+    /// span, if no time is within the span or the tolerance. Times on both sides of the span are of its clock.
     #[cfg(any(feature = "nuplan", feature = "av2"))]
     pub(super) fn of_all(
         times_us: impl Iterator<Item = i64>,
@@ -98,6 +98,9 @@ impl Offset {
             ends.get_or_insert([t_us; 2])[1] = t_us;
         }
         let [t_us, end_us] = ends?;
+        if t_us < first && end_us > last {
+            return None;
+        }
         let mut range_us = [t_us.abs_diff(first), end_us.abs_diff(last)];
         range_us.sort_unstable();
         Some(Self { t_us, expected_us: first, range_us, unit })
@@ -257,6 +260,8 @@ mod tests {
         }
         assert!(of(&[T_US + 6_000_001]).is_some());
         assert_eq!(of(&[]), None);
+        assert_eq!(of(&[T_US - 2_000_000, T_US + 7_000_000]), None);
+        assert!(of(&[T_US - 3_000_000, T_US - 2_000_000]).is_some());
         // The first is compared with the first: the offset of the clocks, whatever the length of the log.
         let text = |times: [i64; 2]| of(&times.map(|t_us| T_US + t_us)).unwrap().to_string();
         assert_eq!(text([18_000_000, 23_000_000]), "18.000 s later (GPS time instead of UTC?)");

@@ -3,13 +3,14 @@
 use glam::DVec2;
 
 use super::notes::{Counts, count};
+use crate::geometry::is_position;
 
 /// Reason for which a record is skipped.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Fault {
-    /// Fewer than three corners that are not on a line, or a corner that is not finite.
+    /// Fewer than three corners that are not on a line, or a corner that is no position.
     NoArea,
-    /// Fewer than two different points, or a point that is not finite.
+    /// Fewer than two different points, or a point that is no position.
     NoLength,
     /// A reference to a record that does not exist.
     #[cfg_attr(not(any(feature = "nuscenes", feature = "nuplan")), expect(dead_code))]
@@ -73,7 +74,7 @@ pub(super) fn ring(mut corners: Vec<DVec2>) -> Result<Vec<DVec2>, Fault> {
         let along = rest.iter().map(|corner| *corner - *first).find(|side| *side != DVec2::ZERO)?;
         Some(rest.iter().any(|corner| (*corner - *first).perp_dot(along) != 0.0))
     };
-    let is_sound = corners.iter().all(|corner| corner.is_finite()) && spans() == Some(true);
+    let is_sound = are_positions(&corners) && spans() == Some(true);
     if is_sound { Ok(corners) } else { Err(Fault::NoArea) }
 }
 
@@ -82,9 +83,13 @@ pub(super) fn ring(mut corners: Vec<DVec2>) -> Result<Vec<DVec2>, Fault> {
 /// # Errors
 /// Fails if they have no length.
 pub(super) fn line(points: Vec<DVec2>) -> Result<Vec<DVec2>, Fault> {
-    let is_sound =
-        points.iter().all(|point| point.is_finite()) && points.windows(2).any(|pair| pair[0] != pair[1]);
+    let is_sound = are_positions(&points) && points.windows(2).any(|pair| pair[0] != pair[1]);
     if is_sound { Ok(points) } else { Err(Fault::NoLength) }
+}
+
+/// Returns whether all coordinates are finite and within the limit of positions, so that later arithmetic stays finite.
+fn are_positions(points: &[DVec2]) -> bool {
+    points.iter().all(|point| is_position(point.extend(0.0)))
 }
 
 /// Counts a record that is skipped; `layer` is its kind in the map.
@@ -118,6 +123,7 @@ mod tests {
             &[(0.0, 0.0), (1.0, 1.0), (3.0, 3.0), (2.0, 2.0)],
             &[(0.0, 0.0), (4.0, 0.0), (4.0, f64::NAN)],
             &[(0.0, 0.0), (4.0, 0.0), (f64::INFINITY, 3.0)],
+            &[(0.0, 0.0), (4.0, 0.0), (1e150, 3.0)],
         ] {
             assert_eq!(ring(bad), Err(Fault::NoArea), "{bad:?}");
         }
@@ -127,7 +133,13 @@ mod tests {
     fn lines_have_a_length() {
         let line = |points: &[(f64, f64)]| line(points.iter().map(|(x, y)| DVec2::new(*x, *y)).collect());
         assert_eq!(line(&[(0.0, 0.0), (0.0, 0.0), (1.0, 0.0)]).unwrap().len(), 3);
-        for bad in [&[][..], &[(1.0, 1.0)], &[(1.0, 1.0), (1.0, 1.0)], &[(1.0, 1.0), (1.0, f64::NAN)]] {
+        for bad in [
+            &[][..],
+            &[(1.0, 1.0)],
+            &[(1.0, 1.0), (1.0, 1.0)],
+            &[(1.0, 1.0), (1.0, f64::NAN)],
+            &[(1.0, 1.0), (1e150, 1.0)],
+        ] {
             assert_eq!(line(bad), Err(Fault::NoLength), "{bad:?}");
         }
     }

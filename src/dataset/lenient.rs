@@ -102,7 +102,7 @@ impl<T> Records<T> {
 
 impl<'de, T: DeserializeOwned> Deserialize<'de> for Records<T> {
     fn deserialize<D: Deserializer<'de>>(from: D) -> Result<Self, D::Error> {
-        from.deserialize_seq(AnyRecords(PhantomData))
+        from.deserialize_seq(AnyRecords("an array of records", PhantomData))
     }
 }
 
@@ -112,17 +112,18 @@ pub(super) struct ById<T>(pub(super) Records<T>);
 
 impl<'de, T: DeserializeOwned> Deserialize<'de> for ById<T> {
     fn deserialize<D: Deserializer<'de>>(from: D) -> Result<Self, D::Error> {
-        from.deserialize_map(AnyRecords(PhantomData)).map(Self)
+        from.deserialize_map(AnyRecords("an object by id", PhantomData)).map(Self)
     }
 }
 
-struct AnyRecords<T>(PhantomData<T>);
+/// Visitor of records; the text is for messages.
+struct AnyRecords<T>(&'static str, PhantomData<T>);
 
 impl<'de, T: DeserializeOwned> Visitor<'de> for AnyRecords<T> {
     type Value = Records<T>;
 
     fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str("an array of records, or an object by id")
+        f.write_str(self.0)
     }
 
     fn visit_seq<A: SeqAccess<'de>>(self, mut array: A) -> Result<Records<T>, A::Error> {

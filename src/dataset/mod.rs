@@ -3,6 +3,12 @@
 //! A reader converts its raw tables to a lightweight [`Recording`] (poses, calibration, boxes and file paths) and reads
 //! sweeps and images on demand. Nothing is dropped silently: a reader counts skipped items in [`Recording::notes`].
 
+// Readers share helpers, of which each needs only some.
+#![cfg_attr(
+    not(all(feature = "nuscenes", feature = "nuplan", feature = "av2")),
+    allow(dead_code, unused_imports, reason = "with only some of the readers")
+)]
+
 #[cfg(feature = "av2")]
 pub mod av2;
 mod category;
@@ -10,10 +16,6 @@ mod category;
 mod clock;
 #[cfg(any(feature = "nuscenes", feature = "nuplan", feature = "av2"))]
 mod degenerate;
-#[cfg_attr(
-    not(any(test, feature = "nuscenes", feature = "nuplan", feature = "av2")),
-    expect(dead_code, reason = "only readers count jumps")
-)]
 mod ego_jumps;
 mod ego_track;
 mod fingerprint;
@@ -254,16 +256,25 @@ pub enum DatasetError {
         path: PathBuf,
     },
     /// Missing part of a log that was opened with [`MissingData::Error`].
-    #[error("expected a log without gaps, found {first} and {further} further missing parts")]
+    #[error("expected a log without gaps, found {first}{}", and_further(*further))]
     Missing {
         /// First missing part.
         first: Gap,
-        /// Number of further missing parts.
+        /// Number of further gaps.
         further: usize,
     },
     /// Error while generating a synthetic log.
     #[error(transparent)]
     Made(Box<dyn std::error::Error + Send + Sync>),
+}
+
+/// Ends an error about a gap with the number of further ones.
+fn and_further(gaps: usize) -> String {
+    match gaps {
+        0 => String::new(),
+        1 => ", and one further gap".to_owned(),
+        _ => format!(", and {gaps} further gaps"),
+    }
 }
 
 impl DatasetError {

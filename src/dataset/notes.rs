@@ -12,7 +12,7 @@ use crate::files::input::is_there;
 
 /// Kind of a gap: a camera without an image for a frame.
 pub(super) const NO_IMAGE: &str = "missing camera images";
-/// Kind of a gap: a box with a side that is zero or negative.
+/// Kind of a gap: a box with a side that is zero, negative or nearly zero.
 pub(super) const FLAT_BOX: &str = "boxes without a size";
 /// Kind of a gap: a frame to which no sweep belongs.
 pub(super) const NO_SWEEP: &str = "frames without a LiDAR sweep of their own";

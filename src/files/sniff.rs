@@ -114,7 +114,8 @@ fn start_of_text(head: &[u8]) -> &str {
     let head = head.strip_prefix(b"\xef\xbb\xbf").unwrap_or(head);
     // A character may be cut at the end.
     let text = str::from_utf8(head).or_else(|e| str::from_utf8(&head[..e.valid_up_to()]));
-    text.unwrap_or_default().trim_start()
+    // Numbers may look like text, but hardly without a zero byte.
+    text.ok().filter(|text| !text.contains('\0')).unwrap_or_default().trim_start()
 }
 
 #[cfg(test)]
@@ -135,7 +136,9 @@ mod tests {
         }
         let svg = b"<?xml version=\"1.0\"?><svg/>";
         assert_eq!((undownloaded(svg), marked(svg)), (None, Some("an XML file")));
-        for other in [&b""[..], b"[]", b"ply\n", b"\0\0\0\0", b"version 1", b"\xff\xd8\xff\xe0"] {
+        // Numbers may look like text.
+        let numbers = b"   <error>r \x01\0 /p\xbe ";
+        for other in [&b""[..], b"[]", b"ply\n", b"\0\0\0\0", b"version 1", b"\xff\xd8\xff\xe0", numbers] {
             assert_eq!(undownloaded(other), None);
         }
     }

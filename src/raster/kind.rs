@@ -92,8 +92,13 @@ pub fn create<'a>(
         // A driver that runs on the processor is slower than the processor.
         RasterizerKind::Auto if !asked => match Device::new(&of_device) {
             Ok(device) => Some(device).filter(|device| !device.is_cpu()),
-            // Only drivers that run on the processor lack threads.
-            Err(GpuError::NoLoader { .. } | GpuError::NoDevice { .. } | GpuError::Threads(_)) => None,
+            // Only drivers that run on the processor lack threads. Under `ulimit -v` no driver may fit.
+            Err(
+                GpuError::NoLoader { .. }
+                | GpuError::NoDevice { .. }
+                | GpuError::Threads(_)
+                | GpuError::AddressSpace(_),
+            ) => None,
             Err(error) => return Err(error.into()),
         },
         _ => Some(Device::new(&of_device)?),

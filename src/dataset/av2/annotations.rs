@@ -89,10 +89,10 @@ impl Annotations {
 }
 
 impl Annotation {
-    /// Returns the box in the city frame; `None` if a side is zero or negative.
+    /// Returns the box in the city frame; `None` if it has no size, see [`Cuboid::unless_flat`].
     ///
     /// # Errors
-    /// Fails if a side is not finite.
+    /// Fails if a side is not finite, or a side or a coordinate is beyond the limits of boxes.
     pub(super) fn cuboid(&self, city_from_ego: &Pose) -> Result<Option<Cuboid>, CuboidError> {
         Cuboid::unless_flat(*city_from_ego * self.ego_from_box, self.size)
     }

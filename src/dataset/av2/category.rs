@@ -1,34 +1,66 @@
 //! Maps Argoverse 2 categories to dotted names as in nuScenes, which determine class, color and template.
 
-use crate::dataset::CategoryKind;
+use crate::dataset::CategoryKind::{
+    self, AnyVehicle, Bicycle, Bus, Car, Construction, Emergency, Motorcycle, Object, Pedestrian, Trailer,
+    Truck,
+};
+
+/// Categories of the data set: `AnnotationCategories` of <https://github.com/argoverse/av2-api>.
+const CATEGORIES: [&str; 30] = [
+    "ANIMAL",
+    "ARTICULATED_BUS",
+    "BICYCLE",
+    "BICYCLIST",
+    "BOLLARD",
+    "BOX_TRUCK",
+    "BUS",
+    "CONSTRUCTION_BARREL",
+    "CONSTRUCTION_CONE",
+    "DOG",
+    "LARGE_VEHICLE",
+    "MESSAGE_BOARD_TRAILER",
+    "MOBILE_PEDESTRIAN_CROSSING_SIGN",
+    "MOTORCYCLE",
+    "MOTORCYCLIST",
+    "OFFICIAL_SIGNALER",
+    "PEDESTRIAN",
+    "RAILED_VEHICLE",
+    "REGULAR_VEHICLE",
+    "SCHOOL_BUS",
+    "SIGN",
+    "STOP_SIGN",
+    "STROLLER",
+    "TRAFFIC_LIGHT_TRAILER",
+    "TRUCK",
+    "TRUCK_CAB",
+    "VEHICULAR_TRAILER",
+    "WHEELCHAIR",
+    "WHEELED_DEVICE",
+    "WHEELED_RIDER",
+];
 
 /// Returns the dotted name of a category: group, kind, and the dataset's own name in lower case, like
 /// `vehicle.car.regular_vehicle`, in any case. Words of other data sets stay as they are. `None` for unknown words.
 ///
-/// Riders are pedestrians, since they have boxes separate from their cycles. Trams are buses, the nearest in shape.
-/// Message boards and traffic lights on trailers are signs rather than vehicles. Boxes of wheeled devices exclude
-/// their rider, so they are objects. Source of the list: `AnnotationCategories` of
-/// <https://github.com/argoverse/av2-api>.
+/// Kinds are those of all data sets, except that riders are pedestrians: they have boxes separate from their cycles.
 pub(super) fn dotted(category: &str) -> Option<String> {
     let upper = category.trim().to_uppercase().replace([' ', '-'], "_");
-    let group = match upper.as_str() {
-        "REGULAR_VEHICLE" => "vehicle.car",
-        "LARGE_VEHICLE" | "BOX_TRUCK" | "TRUCK" | "TRUCK_CAB" => "vehicle.truck",
-        "BUS" | "SCHOOL_BUS" | "ARTICULATED_BUS" | "RAILED_VEHICLE" => "vehicle.bus",
-        "VEHICULAR_TRAILER" => "vehicle.trailer",
-        "BICYCLE" => "vehicle.bicycle",
-        "MOTORCYCLE" => "vehicle.motorcycle",
-        "PEDESTRIAN" | "OFFICIAL_SIGNALER" | "STROLLER" | "WHEELCHAIR" | "BICYCLIST" | "MOTORCYCLIST"
-        | "WHEELED_RIDER" => "human.pedestrian",
-        "ANIMAL" | "DOG" => "animal",
-        "CONSTRUCTION_BARREL"
-        | "CONSTRUCTION_CONE"
-        | "MESSAGE_BOARD_TRAILER"
-        | "TRAFFIC_LIGHT_TRAILER"
-        | "MOBILE_PEDESTRIAN_CROSSING_SIGN"
-        | "WHEELED_DEVICE" => "movable_object",
-        "BOLLARD" | "SIGN" | "STOP_SIGN" => "static_object",
-        _ => return CategoryKind::of(category).map(|_| category.to_owned()),
+    if !CATEGORIES.contains(&upper.as_str()) {
+        return CategoryKind::of(category).map(|_| category.to_owned());
+    }
+    let group = match (upper.as_str(), CategoryKind::of(&upper)?) {
+        ("BICYCLIST" | "MOTORCYCLIST", _) | (_, Pedestrian) => "human.pedestrian",
+        (_, Car | AnyVehicle) => "vehicle.car",
+        (_, Truck) => "vehicle.truck",
+        (_, Bus) => "vehicle.bus",
+        (_, Trailer) => "vehicle.trailer",
+        (_, Construction) => "vehicle.construction",
+        (_, Emergency) => "vehicle.emergency",
+        (_, Bicycle) => "vehicle.bicycle",
+        (_, Motorcycle) => "vehicle.motorcycle",
+        ("ANIMAL" | "DOG", Object) => "animal",
+        ("BOLLARD" | "SIGN" | "STOP_SIGN", Object) => "static_object",
+        (_, Object) => "movable_object",
     };
     Some(format!("{group}.{}", upper.to_lowercase()))
 }
@@ -43,6 +75,36 @@ mod tests {
     use super::*;
     use crate::dataset::{Class, layout_rgb};
     use crate::skeleton::TemplateKind;
+
+    /// The words mean the same in all layouts, but for riders.
+    #[test]
+    fn every_category_has_its_group() {
+        for (group, categories) in [
+            ("vehicle.car", &["REGULAR_VEHICLE"][..]),
+            ("vehicle.truck", &["LARGE_VEHICLE", "BOX_TRUCK", "TRUCK", "TRUCK_CAB"]),
+            ("vehicle.bus", &["BUS", "SCHOOL_BUS", "ARTICULATED_BUS", "RAILED_VEHICLE"]),
+            ("vehicle.trailer", &["VEHICULAR_TRAILER"]),
+            ("vehicle.bicycle", &["BICYCLE"]),
+            ("vehicle.motorcycle", &["MOTORCYCLE"]),
+            ("human.pedestrian", &["PEDESTRIAN", "OFFICIAL_SIGNALER", "STROLLER", "WHEELCHAIR"]),
+            ("human.pedestrian", &["BICYCLIST", "MOTORCYCLIST", "WHEELED_RIDER"]),
+            ("animal", &["ANIMAL", "DOG"]),
+            ("movable_object", &["CONSTRUCTION_BARREL", "CONSTRUCTION_CONE", "MESSAGE_BOARD_TRAILER"]),
+            (
+                "movable_object",
+                &["TRAFFIC_LIGHT_TRAILER", "MOBILE_PEDESTRIAN_CROSSING_SIGN", "WHEELED_DEVICE"],
+            ),
+            ("static_object", &["BOLLARD", "SIGN", "STOP_SIGN"]),
+        ] {
+            for category in categories {
+                let name = format!("{group}.{}", category.to_lowercase());
+                assert_eq!(dotted(category).as_ref(), Some(&name));
+                let is_rider = ["BICYCLIST", "MOTORCYCLIST"].contains(category);
+                assert_eq!(CategoryKind::of(category) == CategoryKind::of(&name), !is_rider, "{category}");
+            }
+        }
+        assert!(CATEGORIES.iter().all(|category| dotted(category).is_some()));
+    }
 
     #[test]
     fn classes_colors_and_templates_follow() {

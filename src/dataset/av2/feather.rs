@@ -223,22 +223,37 @@ fn check_rows(rows: u64, schema: &Schema, sizes: &[u64]) -> Result<(), String> {
         return Err(format!("a batch of {rows} rows in columns of at most {} bytes", bits / 8));
     }
     let mut sizes = sizes.iter();
+    // The number of buffers of other types is not known here, so numbers after such a column are not checked.
+    let mut unknown = None;
     for field in schema.fields() {
-        let kind = field.data_type();
-        // Minimum bytes of the buffer after the validity bitmap, and number of further buffers.
-        let (least, more) = match (kind, kind.primitive_width()) {
-            (_, Some(width)) => (rows.saturating_mul(width as u64), 0),
-            (DataType::Boolean, _) => (rows.div_ceil(8), 0),
-            (DataType::Utf8 | DataType::Binary, _) => (rows.saturating_mul(4), 1),
-            (DataType::LargeUtf8 | DataType::LargeBinary, _) => (rows.saturating_mul(8), 1),
-            // The number of buffers of other types is not known here, so this and later columns are not checked.
-            _ => return Ok(()),
+        let (name, kind) = (field.name(), field.data_type());
+        // Bytes of an offset to the text of a row.
+        let offset = match kind {
+            DataType::Utf8 | DataType::Binary => Some(4),
+            DataType::LargeUtf8 | DataType::LargeBinary => Some(8),
+            _ => None,
         };
-        let size = sizes.nth(1).copied().unwrap_or(0);
-        if size < least {
-            return Err(format!("column {} of {size} bytes in a batch of {rows} rows", field.name()));
+        // Minimum bytes of the buffer after the validity bitmap.
+        let least = match (kind, kind.primitive_width(), offset) {
+            (_, Some(width), _) => rows.saturating_mul(width as u64),
+            (DataType::Boolean, ..) => rows.div_ceil(8),
+            (_, _, Some(bytes)) => rows.saturating_mul(bytes),
+            _ => {
+                unknown.get_or_insert((name, kind));
+                continue;
+            }
+        };
+        if let Some((other, kind)) = unknown {
+            match offset {
+                Some(_) => return Err(format!("a text column {name} behind column {other} of type {kind}")),
+                None => continue,
+            }
         }
-        sizes.by_ref().take(more).for_each(drop);
+        let size = sizes.nth(1).copied().unwrap_or(0);
+        if size < least || offset.is_some_and(|bytes| !size.is_multiple_of(bytes)) {
+            return Err(format!("column {name} of {size} bytes in a batch of {rows} rows"));
+        }
+        sizes.by_ref().take(usize::from(offset.is_some())).for_each(drop);
     }
     Ok(())
 }

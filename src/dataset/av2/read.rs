@@ -49,7 +49,10 @@ pub(super) fn read(
     let (mut times_ns, mut frames, mut box_points) = (Vec::new(), Vec::new(), Vec::new());
     for (&t_ns, boxes) in &annotations.frames {
         let Some(global_from_ego) = ego.at(t_ns) else {
-            notes.gap(Gap::record(NO_POSE, format!("time {t_ns}"), &poses));
+            // Without annotations this is the time of a sweep, which is counted with the other sweeps.
+            if is_annotated {
+                notes.gap(Gap::record(NO_POSE, format!("time {t_ns}"), &poses));
+            }
             continue;
         };
         let t_us = micros(t_ns);

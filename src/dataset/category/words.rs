@@ -22,10 +22,25 @@ use CategoryKind::{
     AnyVehicle, Bicycle, Bus, Car, Construction, Emergency, Motorcycle, Object, Pedestrian, Trailer, Truck,
 };
 
-/// Words in lower case without separators. Sources: the category lists of nuScenes, nuPlan, Argoverse 2, Lyft Level 5, TIER IV's
-/// T4, KITTI, Waymo Open, PandaSet, TruckScenes, ONCE, DAIR-V2X, ZOD and Cityscapes.
+/// Words in the singular, in lower case without separators. Sources: the category lists of nuScenes, nuPlan, Argoverse 2,
+/// Lyft Level 5, TIER IV's T4, KITTI, Waymo Open, PandaSet, TruckScenes, ONCE, DAIR-V2X, ZOD and Cityscapes.
 pub(super) const WORDS: [(CategoryKind, &[&str]); 11] = [
-    (Car, &["car", "van", "minivan", "suv", "sedan", "taxi", "pickup", "pickuptruck", "passengercar", "ego"]),
+    (
+        Car,
+        &[
+            "car",
+            "van",
+            "minivan",
+            "suv",
+            "sedan",
+            "taxi",
+            "pickup",
+            "pickuptruck",
+            "passengercar",
+            "regularvehicle",
+            "ego",
+        ],
+    ),
     (
         Truck,
         &[
@@ -86,7 +101,7 @@ pub(super) const WORDS: [(CategoryKind, &[&str]); 11] = [
             "fireengine",
         ],
     ),
-    (AnyVehicle, &["vehicle", "motorvehicle", "regularvehicle"]),
+    (AnyVehicle, &["vehicle", "motorvehicle"]),
     (
         Pedestrian,
         &[
@@ -148,17 +163,17 @@ pub(super) const WORDS: [(CategoryKind, &[&str]); 11] = [
             "animalsbird",
             "dog",
             "barrier",
-            "roadbarriers",
-            "temporaryconstructionbarriers",
+            "roadbarrier",
+            "temporaryconstructionbarrier",
             "cone",
             "constructioncone",
             "constructionbarrel",
             "trafficcone",
-            "pylons",
+            "pylon",
             "czonesign",
-            "constructionsigns",
+            "constructionsign",
             "pushablepullable",
-            "rollingcontainers",
+            "rollingcontainer",
             "debris",
             "bicyclerack",
             "bollard",

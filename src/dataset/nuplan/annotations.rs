@@ -118,7 +118,7 @@ pub(super) fn frame_tokens(database: &Database) -> Result<FxHashSet<Vec<u8>>, Da
     Ok(tokens)
 }
 
-/// Returns the box of a row, from its center and yaw in the global frame. `None` if a side is zero or negative.
+/// Returns the box of a row, from its center and yaw in the global frame; `None` if it has no size.
 fn cuboid(row: &Row<'_>, database: &Database) -> Result<Option<Cuboid>, DatasetError> {
     let [x, y, z, length, width, height, yaw_rad] = row.numbers(3)?;
     let (record, path) = (row.name(), database.path().to_owned());

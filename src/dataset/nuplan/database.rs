@@ -134,9 +134,7 @@ impl Database {
         }
         Ok(())
     }
-}
 
-impl Database {
     /// Returns whether a table has a column that not all versions of the layout have.
     ///
     /// # Errors
@@ -213,8 +211,8 @@ impl<'a> Row<'a> {
         FileError::content(expected, found, self.path).into()
     }
 
-    /// Creates the gap of this row, which refers to a row of another table that does not exist; `None` for an empty
-    /// reference.
+    /// Creates the gap of this row, which refers to a row of another table that does not exist; `token` is `None` for an
+    /// empty reference.
     pub(super) fn dangling(&self, kind: &'static str, table: &str, token: Option<&[u8]>) -> Gap {
         let token = token.map_or_else(|| "NULL".to_owned(), hex);
         Gap::dangling(kind, &self.name(), table, &token, self.path)

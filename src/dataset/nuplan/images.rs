@@ -76,10 +76,7 @@ pub(super) fn read(
     notes: &mut Notes,
 ) -> Result<CameraImages, DatasetError> {
     let Within { times_us, is_whole, .. } = *within;
-    let mut cameras = cameras(database, notes)?;
-    if distortion == ImageDistortion::Ignore {
-        cameras.iter_mut().for_each(|camera| camera.camera.distortion = None);
-    }
+    let cameras = cameras(database, distortion, notes)?;
     let mut frames = vec![FrameImages::default(); times_us.len()];
     let (mut images, outside) = images(database, place, &cameras, within, notes)?;
     note(notes, OUTSIDE, if is_whole { outside } else { 0 });
@@ -123,14 +120,18 @@ fn nearest_time<T>(sorted: &[T], t_us: i64, time: impl Fn(&T) -> i64) -> Option<
 }
 
 /// Reads the cameras in ring order; others follow by name.
-fn cameras(database: &Database, notes: &mut Notes) -> Result<Vec<RawCamera>, DatasetError> {
+fn cameras(
+    database: &Database,
+    distortion: ImageDistortion,
+    notes: &mut Notes,
+) -> Result<Vec<RawCamera>, DatasetError> {
     let columns =
         &["token", "translation", "rotation", "channel", "intrinsic", "distortion", "width", "height"];
     let mut cameras = Vec::new();
     database.rows(&Query { table: "camera", columns, from: "FROM camera" }, |row| {
         let (token, ego_from_camera) = (row.blob(0)?.to_owned(), extrinsics(row, 1, database)?);
         note(notes, NO_LENS, usize::from(row.is_null(5)));
-        cameras.push(RawCamera { token, ego_from_camera, camera: camera(row, database)? });
+        cameras.push(RawCamera { token, ego_from_camera, camera: camera(row, distortion, database)? });
         Ok(())
     })?;
     if cameras.len() > MAX_CAMERAS {
@@ -146,10 +147,11 @@ fn cameras(database: &Database, notes: &mut Notes) -> Result<Vec<RawCamera>, Dat
     Ok(cameras)
 }
 
-/// Returns the size, intrinsics and distortion of a row of `camera`.
-fn camera(row: &Row<'_>, database: &Database) -> Result<Camera, DatasetError> {
+/// Returns the size, intrinsics and distortion of a row of `camera`. Coefficients are not read if the images are rectified.
+fn camera(row: &Row<'_>, option: ImageDistortion, database: &Database) -> Result<Camera, DatasetError> {
     let rows = unpickled(row, 4, "a pickled 3x3 matrix", pickle::Value::matrix)?;
-    let distortion = if row.is_null(5) { [0.0; 5] } else { coefficients(row)? };
+    let is_rectified = row.is_null(5) || option == ImageDistortion::Ignore;
+    let distortion = if is_rectified { [0.0; 5] } else { coefficients(row)? };
     let side = |column: usize| {
         let number = row.number(column)?;
         let whole = number.fract() == 0.0 && (0.0..=f64::from(u32::MAX)).contains(&number);
@@ -254,10 +256,6 @@ impl ImageClock {
     fn check(&self, name: &str, span_us: [i64; 2], database: &Database) -> Result<(), DatasetError> {
         let Some([first, last]) = &self.ends else { return Ok(()) };
         let times = [first.0, last.0];
-        // Images around the whole log are near it too.
-        if times[0] <= span_us[1] && times[1] >= span_us[0] {
-            return Ok(());
-        }
         let Some(offset) = Offset::of_all(times.into_iter(), span_us, Unit::MICROS) else { return Ok(()) };
         check_sweeps(database, span_us, times)?;
         let token = hex(&first.1);

@@ -47,14 +47,14 @@ pub(super) fn read(
         }
         None => true,
     });
-    instances.retain(|instance| categories.find(&instance.category_token).is_some());
+    // The tracks have the positions of the instances.
     let mut tracks = Vec::new();
-    for instance in &instances.records {
-        let Some(category) = categories.find(&instance.category_token) else { continue };
-        let category = category.name.clone();
-        let class = Class::from_category(&category);
+    instances.retain(|instance| {
+        let Some(category) = categories.find(&instance.category_token) else { return false };
+        let (category, class) = (category.name.clone(), Class::from_category(&category.name));
         tracks.push(Track { id: instance.token.clone(), category, class });
-    }
+        true
+    });
     let mut frames = vec![Vec::new(); chain.times_us.len()];
     for annotation in &annotations.records {
         let by = || format!("sample_annotation {}", annotation.token);
@@ -103,7 +103,7 @@ fn missing(
     categories.find(category).is_none().then(gap)
 }
 
-/// Converts an annotation; the tables store width, length, height. `None` if a side is zero or negative.
+/// Converts an annotation; the tables store width, length, height. `None` if it has no size.
 fn cuboid(table: &Table<Annotation>, annotation: &Annotation) -> Result<Option<Cuboid>, DatasetError> {
     let pose = pose(table, annotation, annotation.rotation, annotation.translation)?;
     let [width, length, height] = annotation.size;

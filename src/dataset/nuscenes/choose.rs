@@ -16,9 +16,12 @@ const USUAL: &str = "v1.0-";
 /// Maximum number of folders that an error lists.
 const MOST_LISTED: usize = 20;
 
+/// Maximum number of entries per folder among which an error looks for them.
+const MOST_LOOKED_AT: usize = 1000;
+
 /// Returns the folder of the tables: `root/version`, or the only folder in `root` with tables, whatever its name.
 pub(super) fn version_folder(root: &Path, version: Option<&str>) -> Result<PathBuf, DatasetError> {
-    let folders = folders_in(root)?;
+    let folders = folders_in(root, usize::MAX)?;
     let known: Vec<&String> = folders.iter().filter(|name| is_taken(&root.join(name).join(MARK))).collect();
     let usual: Vec<&String> = folders.iter().filter(|name| name.starts_with(USUAL)).collect();
     // A version without its table of scenes is reported as such.
@@ -41,10 +44,10 @@ pub(super) fn version_folder(root: &Path, version: Option<&str>) -> Result<PathB
     Err(FileError::content(expected, found, root).into())
 }
 
-/// Returns the names of the folders in a folder, sorted.
-fn folders_in(root: &Path) -> Result<Vec<String>, FileError> {
+/// Returns the names of the folders in a folder, sorted. Looks at up to `most` of its entries.
+fn folders_in(root: &Path, most: usize) -> Result<Vec<String>, FileError> {
     let mut names = Vec::new();
-    for entry in std::fs::read_dir(root).map_err(FileError::io("read", root))? {
+    for entry in std::fs::read_dir(root).map_err(FileError::io("read", root))?.take(most) {
         let entry = entry.map_err(FileError::io("read", root))?;
         if entry.path().is_dir() {
             names.push(entry.file_name().to_string_lossy().into_owned());
@@ -61,12 +64,12 @@ fn nearby(root: &Path, version: Option<&str>) -> String {
     }
     let below = |name: &String| {
         let folder = root.join(name);
-        let inner = folders_in(&folder).unwrap_or_default().into_iter();
+        let inner = folders_in(&folder, MOST_LOOKED_AT).unwrap_or_default().into_iter();
         let tables = inner.filter(move |inner| is_taken(&folder.join(inner).join(MARK)));
         tables.map(|inner| format!("{name}/{inner}")).collect::<Vec<_>>()
     };
-    let found = folders_in(root).unwrap_or_default();
-    let mut found: Vec<String> = found.iter().take(1000).flat_map(below).take(MOST_LISTED + 1).collect();
+    let found = folders_in(root, MOST_LOOKED_AT).unwrap_or_default();
+    let mut found: Vec<String> = found.iter().flat_map(below).take(MOST_LISTED + 1).collect();
     if found.is_empty() {
         return version.unwrap_or("none").to_owned();
     }
@@ -124,4 +127,19 @@ pub fn expand(locator: &LogLocator) -> Result<Vec<LogLocator>, DatasetError> {
     }
     names.sort();
     Ok(names.into_iter().map(|name| LogLocator { scene: Some(name), ..locator.clone() }).collect())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn few_entries_of_large_folders_are_looked_at() {
+        let folder = tempfile::tempdir().unwrap();
+        for name in ["a", "b", "c"] {
+            std::fs::create_dir(folder.path().join(name)).unwrap();
+        }
+        assert_eq!(folders_in(folder.path(), usize::MAX).unwrap(), ["a", "b", "c"]);
+        assert_eq!(folders_in(folder.path(), 2).unwrap().len(), 2);
+    }
 }

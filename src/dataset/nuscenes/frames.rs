@@ -1,7 +1,7 @@
 //! Sweeps and images of a scene, grouped by frame.
 //!
-//! Key frames belong to the sample they reference. Other data belongs to the first frame at or after its timestamp.
-//! Data after the last frame has no later boxes, so it is skipped and counted.
+//! Key frames belong to the sample they reference. Other data belongs to the first frame at or after its timestamp; a
+//! sample without key frames is no frame. Data after the last frame has no later boxes, so it is skipped and counted.
 
 use std::path::Path;
 
@@ -30,6 +30,9 @@ const MAIN_LIDAR: &str = "LIDAR_TOP";
 
 /// Kind of a gap: a sample that neither a sweep nor an image gives an ego pose.
 const NO_DATA: &str = "samples without data";
+
+/// Note on data between key frames to which no frame belongs: all later samples are without key frames.
+const NO_LATER_FRAME: &str = "sweeps and images after the last sample with key frames";
 
 /// Cameras and frames of a scene.
 pub(super) struct SceneFrames {
@@ -124,8 +127,7 @@ pub(super) fn read(
     let path = &sensors.data.path;
     check_growth(&piles, path)?;
     let dangling = notes.gaps.first().cloned();
-    let finish = |(pile, t_us): (UnsortedFrame, &i64)| pile.finish(&cameras, *t_us, path, notes);
-    let frames: Vec<Option<FrameRecord>> = piles.into_iter().zip(&chain.times_us).map(finish).collect();
+    let frames = finish(piles, &cameras, &chain.times_us, path, notes);
     if frames.iter().all(Option::is_none) {
         return Err(sensors.no_key_frames(dangling.as_ref()).into());
     }
@@ -247,15 +249,42 @@ impl Sensors {
     }
 }
 
+/// Sorts the frames. A sample without an ego pose is no frame, and its data belongs to the next one.
+fn finish(
+    piles: Vec<UnsortedFrame>,
+    cameras: &[FileName],
+    times_us: &[i64],
+    path: &Path,
+    notes: &mut Notes,
+) -> Vec<Option<FrameRecord>> {
+    let (mut frames, mut carried) = (Vec::with_capacity(piles.len()), UnsortedFrame::default());
+    for (mut pile, t_us) in piles.into_iter().zip(times_us) {
+        pile.sweeps.append(&mut carried.sweeps);
+        pile.between_images.append(&mut carried.between_images);
+        match pile.finish(cameras, *t_us, path, notes) {
+            Ok(frame) => frames.push(Some(frame)),
+            Err(pile) => {
+                carried = pile;
+                frames.push(None);
+            }
+        }
+    }
+    note(notes, NO_LATER_FRAME, carried.sweeps.len() + carried.between_images.len());
+    frames
+}
+
 impl UnsortedFrame {
-    /// Sorts a frame; `None` if it has neither a key sweep nor a key image to provide the ego pose.
+    /// Sorts a frame.
+    ///
+    /// # Errors
+    /// Returns the data if there is neither a key sweep nor a key image to provide the ego pose.
     fn finish(
         mut self,
         cameras: &[FileName],
         t_us: i64,
         path: &Path,
         notes: &mut Notes,
-    ) -> Option<FrameRecord> {
+    ) -> Result<FrameRecord, Self> {
         for (channel, name) in cameras.iter().enumerate() {
             if !self.images.iter().any(|i| i.channel == channel) {
                 notes.gap(Gap::record(NO_IMAGE, format!("{name} of the sample at {t_us}"), path));
@@ -277,15 +306,10 @@ impl UnsortedFrame {
         let of_image = || self.images.iter().min_by_key(|i| i.t_us).map(|i| i.global_from_ego);
         let Some(global_from_ego) = of_sweep.or_else(of_image) else {
             notes.gap(Gap::record(NO_DATA, format!("sample at {t_us}"), path));
-            return None;
+            return Err(self);
         };
         let sweeps = self.sweeps.into_iter().map(|s| s.record).collect();
-        Some(FrameRecord {
-            global_from_ego,
-            sweeps,
-            images: self.images,
-            between_images: self.between_images,
-        })
+        Ok(FrameRecord { global_from_ego, sweeps, images: self.images, between_images: self.between_images })
     }
 }
 
@@ -322,4 +346,58 @@ fn check_growth(frames: &[UnsortedFrame], path: &Path) -> Result<(), FileError> 
         }
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn sweep(t_us: i64, is_key: bool) -> RawSweep {
+        let (global_from_ego, ego_from_lidar) = (Pose::IDENTITY, Pose::IDENTITY);
+        let record = SweepRecord {
+            path: format!("{t_us}.pcd.bin").into(),
+            t_us,
+            global_from_ego,
+            ego_from_lidar,
+            is_key,
+        };
+        RawSweep { channel: MAIN_LIDAR.to_owned(), is_key, token: t_us.to_string(), record }
+    }
+
+    fn image(t_us: i64) -> ImageRecord {
+        let rows = [[100.0, 0.0, 50.0], [0.0, 100.0, 50.0], [0.0, 0.0, 1.0]];
+        ImageRecord {
+            token: t_us.to_string(),
+            channel: 0,
+            path: format!("{t_us}.jpg").into(),
+            t_us,
+            global_from_ego: Pose::IDENTITY,
+            ego_from_camera: Pose::IDENTITY,
+            camera: Camera::new("c", 10, 10, rows).unwrap(),
+        }
+    }
+
+    #[test]
+    fn data_of_a_sample_without_key_frames_belongs_to_the_next_frame() {
+        let pile = |t_us: i64, has_key: bool| {
+            let mut pile = UnsortedFrame::default();
+            pile.sweeps.push(sweep(t_us - 50, false));
+            pile.sweeps.extend(has_key.then(|| sweep(t_us, true)));
+            pile.between_images.push(image(t_us - 40));
+            pile
+        };
+        let piles =
+            vec![pile(100, true), pile(200, false), pile(300, false), pile(400, true), pile(500, false)];
+        let mut notes = Notes::new();
+        let frames = finish(piles, &[], &[100, 200, 300, 400, 500], Path::new("a.json"), &mut notes);
+        let times = |frame: &Option<FrameRecord>| {
+            let frame = frame.as_ref()?;
+            let sweeps: Vec<i64> = frame.sweeps.iter().map(|sweep| sweep.t_us).collect();
+            Some((sweeps, frame.between_images.iter().map(|image| image.t_us).collect::<Vec<i64>>()))
+        };
+        let found: Vec<_> = frames.iter().map(times).collect();
+        let last = Some((vec![400_i64, 350, 250, 150], vec![160_i64, 260, 360]));
+        assert_eq!(found, [Some((vec![100, 50], vec![60])), None, None, last, None]);
+        assert_eq!((notes.counts[NO_DATA], notes.counts[NO_LATER_FRAME]), (3, 2));
+    }
 }

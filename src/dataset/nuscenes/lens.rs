@@ -41,20 +41,32 @@ const NAMES: [&str; 8] = [
     "d",
 ];
 
-/// Name of the field with the model of the lens.
-const MODEL: &str = "distortionmodel";
+/// Names of the field with the model of the lens, as [`plain`] returns them: `camera_model` is `model`.
+const MODEL: [&str; 2] = ["distortionmodel", "model"];
 
 /// Names of fields with single coefficients, in OpenCV's order.
 const SINGLE: [&str; 8] = ["k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"];
 
-/// Words in names of models other than that of OpenCV's `projectPoints`.
-const OTHER_MODELS: [&str; 6] = ["fish", "equi", "kannala", "omni", "mei", "ftheta"];
+/// Names of the model of OpenCV's `projectPoints`, in lower case without separators. Coefficients of other models differ.
+const OPENCV_MODELS: [&str; 11] = [
+    "",
+    "brown",
+    "brownconrady",
+    "opencv",
+    "perspective",
+    "pinhole",
+    "plumbbob",
+    "radialtangential",
+    "radtan",
+    "rational",
+    "rationalpolynomial",
+];
 
 /// Returns the lens of a calibrated camera; `record` and `path` are for messages.
 ///
 /// # Errors
-/// Fails if the coefficients apply and are not those of OpenCV: `k1 k2 p1 p2`, and `k3` or further zeros. Fails if two
-/// fields apply that contradict each other.
+/// Fails if the coefficients apply and are not those of OpenCV: `k1 k2 p1 p2`, and `k3` or further zeros, of one of
+/// [`OPENCV_MODELS`]. Fails if two fields apply that contradict each other.
 pub(super) fn lens(
     calibrated: &CalibratedSensor,
     sensor: &Sensor,
@@ -63,7 +75,8 @@ pub(super) fn lens(
     path: &Path,
 ) -> Result<Lens, FileError> {
     let mut all = [given(&calibrated.others), given(&sensor.others)].concat();
-    all.dedup_by(|b, a| a.value == b.value);
+    let five = |given: &Given<'_>| numbers(&given.value).as_deref().and_then(Distortion::first_five);
+    all.dedup_by(|b, a| a.value == b.value || (five(a).is_some() && five(a) == five(b)));
     let Some(Given { key, value }) = all.first().filter(|_| option != ImageDistortion::Ignore) else {
         return Ok(Lens::default());
     };
@@ -74,14 +87,12 @@ pub(super) fn lens(
         let found = format!("{key} {value} and {} {} in {record}", other.key, other.value);
         return Err(FileError::content("one list of distortion coefficients per camera", found, path));
     }
-    let model = calibrated.others.iter().find(|(key, _)| plain(key) == MODEL);
-    let model = model.and_then(|(_, name)| name.as_str()).unwrap_or_default();
-    let is_other = OTHER_MODELS.iter().any(|word| model.to_lowercase().contains(word));
-    let coefficients = numbers(value).as_deref().and_then(Distortion::first_five).filter(|_| !is_other);
-    let five = coefficients.ok_or_else(|| {
+    let other = other_model([&calibrated.others, &sensor.others]);
+    let coefficients = numbers(value).as_deref().and_then(Distortion::first_five);
+    let five = coefficients.filter(|_| other.is_none()).ok_or_else(|| {
         let expected =
             format!("OpenCV's k1 k2 p1 p2 k3 as {key} (--image-distortion ignore reads images as rectified)");
-        let model = if is_other { format!(" of model {model:?}") } else { String::new() };
+        let model = other.map_or_else(String::new, |model| format!(" of model {model}"));
         FileError::content(expected, format!("{value}{model} in {record}"), path)
     })?;
     Ok(Lens { distortion: Distortion::from_opencv(five), ignored: None })
@@ -100,8 +111,8 @@ pub(super) fn unread(calibrated: &CalibratedSensor, sensor: &Sensor, option: Ima
     });
     let is_unknown = |(key, value): &(&String, &Value)| {
         let name = plain(key);
-        let is_lens = name.contains("dist") && !name.contains("distance") && name != MODEL;
-        is_lens && !NAMES.contains(&name.as_str()) && !is_nothing(value)
+        let is_lens = name.contains("dist") && !name.contains("distance") && !MODEL.contains(&name.as_str());
+        is_lens && !is_named(key) && !is_nothing(value)
     };
     let fields = calibrated.others.iter().chain(&sensor.others).filter(is_unknown);
     let fields = fields
@@ -111,12 +122,31 @@ pub(super) fn unread(calibrated: &CalibratedSensor, sensor: &Sensor, option: Ima
 
 /// Returns the coefficients of a record under any of their names, unless they are zero.
 fn given(record: &Map<String, Value>) -> Vec<Given<'_>> {
-    let named = record.iter().filter(|(key, _)| NAMES.contains(&plain(key).as_str()));
+    let named = record.iter().filter(|(key, _)| is_named(key));
     let named = named.map(|(key, value)| {
         let inner = value.as_object().and_then(single);
         Given { key, value: inner.map_or_else(|| value.clone(), |inner| inner.value) }
     });
     named.chain(single(record)).filter(|given| !is_nothing(&given.value)).collect()
+}
+
+/// Returns whether a field is named as coefficients are.
+fn is_named(key: &str) -> bool {
+    NAMES.contains(&plain(key).as_str())
+}
+
+/// Returns the first model that is not one of [`OPENCV_MODELS`], from the fields of records or beside the coefficients.
+fn other_model(records: [&Map<String, Value>; 2]) -> Option<&Value> {
+    let objects = records.into_iter().flatten().filter(|(key, _)| is_named(key));
+    let inner = objects.filter_map(|(_, value)| value.as_object()).flatten();
+    let models = records.into_iter().flatten().chain(inner);
+    let mut models = models.filter(|(key, _)| MODEL.contains(&plain(key).as_str())).map(|(_, model)| model);
+    models.find(|model| !is_opencv(model))
+}
+
+fn is_opencv(model: &Value) -> bool {
+    let plain = |name: &str| name.to_lowercase().replace([' ', '-', '_'], "");
+    model.is_null() || model.as_str().is_some_and(|name| OPENCV_MODELS.contains(&plain(name).as_str()))
 }
 
 /// Collects single coefficients in OpenCV's order; `None` if there are none.
@@ -212,6 +242,8 @@ mod tests {
         // The same twice, zeros beside it, and contradictions.
         assert_eq!(applied(json!({"D": five, "distortion": five}), json!({"D": five})), expected);
         assert_eq!(applied(json!({"camera_distortion": [0, 0, 0, 0, 0], "D": five}), json!({})), expected);
+        let longer = json!([-0.35, 0.14, 0, 0, -0.03, 0]);
+        assert_eq!(applied(json!({"D": five}), json!({"distortion": longer})), expected);
         let message = applied(json!({"D": [0.1, 0, 0, 0]}), json!({"distortion": five})).unwrap_err();
         assert!(message.contains("one list of distortion coefficients per camera"), "{message}");
         let fisheye = applied(json!({"k1": 0.1, "k2": 0.02, "k3": 0.01, "k4": 0.001}), json!({}));
@@ -285,10 +317,63 @@ mod tests {
     #[test]
     fn rejects_models_of_other_lenses() {
         let given = json!([-0.01, 0.02, 0.003, -0.001]);
-        for model in ["fisheye", "equidistant", "KannalaBrandt"] {
+        for model in
+            ["fisheye", "equidistant", "KannalaBrandt", "double_sphere", "ds", "Scaramuzza", "div", "?", "鱼"]
+        {
             let message = read(given.clone(), json!(model), ImageDistortion::Apply).unwrap_err();
             assert!(message.contains(&format!("of model {model:?}")), "{message}");
             assert!(read(given.clone(), json!(model), ImageDistortion::Usual).unwrap().ignored.is_some());
+            let of_sensor = json!({"distortion": given, "distortion_model": model});
+            let message = read_with(&calibrated(&json!({})), &of_sensor, ImageDistortion::Apply).unwrap_err();
+            assert!(message.contains(&format!("of model {model:?}")), "{message}");
         }
+    }
+
+    /// The model may be a field of its own, or beside the coefficients.
+    #[test]
+    fn models_are_accepted_by_name() {
+        let applied = |fields: Value, sensor: Value| {
+            read_with(&calibrated(&fields), &sensor, ImageDistortion::Apply)
+                .map(|lens| lens.distortion.is_some())
+        };
+        let both = |key: &str, model: Value| {
+            let inner = json!({"k1": -0.01, "k2": 0.02, key: model});
+            let outer = json!({"D": [-0.01, 0.02, 0.003, -0.001], key: model});
+            [
+                applied(outer.clone(), json!({})),
+                applied(json!({}), outer),
+                applied(json!({"camera_distortion": inner}), json!({})),
+                applied(json!({}), json!({"distortion": inner})),
+            ]
+        };
+        for key in ["distortion_model", "camera_model", "model", "cameraModel", "camera_distortion_model"] {
+            for model in [
+                json!(null),
+                json!(""),
+                json!("plumb_bob"),
+                json!("Plumb Bob"),
+                json!("radtan"),
+                json!("radial-tangential"),
+                json!("BROWN"),
+                json!("Brown-Conrady"),
+                json!("OPENCV"),
+                json!("pinhole"),
+                json!("rational_polynomial"),
+            ] {
+                assert!(both(key, model.clone()).into_iter().all(|found| found == Ok(true)), "{key} {model}");
+            }
+            for model in
+                [json!("ds"), json!("inverse_brown_conrady"), json!("opencv_fisheye"), json!(4), json!({})]
+            {
+                for found in both(key, model.clone()) {
+                    let message = found.unwrap_err();
+                    assert!(message.contains(&format!("of model {model}")), "{key}: {message}");
+                }
+            }
+        }
+        // Of two fields, each excludes.
+        let fields =
+            json!({"D": [-0.01, 0.02, 0.003, -0.001], "camera_model": "omni", "distortion_model": "radtan"});
+        assert!(applied(fields, json!({})).unwrap_err().contains("of model \"omni\""));
     }
 }

@@ -34,7 +34,7 @@ impl<'de> Deserialize<'de> for TimeUs {
             }
 
             fn visit_f64<E: Error>(self, t_us: f64) -> Result<TimeUs, E> {
-                // Numbers of this size are exact.
+                // Whole numbers are exact up to 2^53 us, the year 2255, and within 2 us up to the limit.
                 match t_us.abs() <= MAX_TIME_US as f64 {
                     true => Ok(TimeUs(t_us.round() as i64)),
                     false => Err(far(t_us)),

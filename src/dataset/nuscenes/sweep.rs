@@ -5,8 +5,8 @@ use std::io::Write;
 use std::os::unix::fs::FileExt;
 use std::path::Path;
 
-use crate::dataset::sweeps::pcd::{check_pcd, pcd_rows};
-use crate::dataset::sweeps::{HEAD_BYTES, ReadAt, SweepRow, SweepRows, columns, is_pcd, named_format};
+use crate::dataset::sweeps::pcd::{HEAD_BYTES, check_pcd, pcd_rows};
+use crate::dataset::sweeps::{ReadAt, SweepRow, SweepRows, columns, is_pcd, named_format};
 use crate::dataset::{RingMeaning, Sweep, SweepPoint};
 use crate::error::FileError;
 use crate::files::input::{SWEEP_BYTES, open_up_to, read_file};
@@ -22,7 +22,8 @@ const NO_RING: &str = "sweeps of four columns (x y z intensity), without rings";
 /// name.
 ///
 /// # Errors
-/// Fails if the file is missing or empty, has another format or layout, or no point with finite coordinates.
+/// Fails if the file is missing or empty, or has another format or layout. Fails if no point has finite coordinates, or
+/// all are at the origin.
 pub fn read_sweep_file(path: &Path) -> Result<Sweep, FileError> {
     read_rows(path)?.finish(RingMeaning::Auto, path)
 }
@@ -84,8 +85,7 @@ pub(super) fn check(path: &Path) -> Result<u64, FileError> {
         file.read_exact_at(&mut bytes, start).map_err(FileError::io("read", path))?;
         Ok(bytes)
     };
-    // The lengths of compressed points follow the longest header.
-    let head = read(0, length.min(HEAD_BYTES as u64 + 8) as usize)?;
+    let head = read(0, length.min(HEAD_BYTES) as usize)?;
     if is_pcd(&head) {
         return check_pcd(&head, length, path);
     }
@@ -199,7 +199,11 @@ mod tests {
             match parse_sweep(&bytes, Path::new("a.pcd.bin")) {
                 Ok(s) => prop_assert_eq!(s.points.len() + s.dropped_non_finite, bytes.len() / POINT_BYTES),
                 Err(e) => {
-                    prop_assert!(bytes.is_empty() || bytes.len() % POINT_BYTES != 0);
+                    let is_finite = |row: &[u8]| {
+                        row.as_chunks::<4>().0[..3].iter().all(|v| f32::from_le_bytes(*v).is_finite())
+                    };
+                    let has_point = bytes.chunks_exact(POINT_BYTES).any(is_finite);
+                    prop_assert!(bytes.len() % POINT_BYTES != 0 || !has_point);
                     prop_assert!(e.to_string().ends_with(": a.pcd.bin"));
                 }
             }

@@ -36,8 +36,12 @@ impl RingDecision {
         read: impl Fn(&Path) -> Result<SweepRows, FileError>,
     ) -> Result<Sweep, FileError> {
         let rows = read(path)?;
-        let own = if self.meaning == RingMeaning::Auto { rows.evidence() } else { None };
-        let found = own.map(|own| self.found.get_or_init(|| of_log(log, &read)).unwrap_or(own));
+        let found = match self.meaning {
+            RingMeaning::Auto if rows.may_be_merged() => {
+                self.found.get_or_init(|| of_log(log, &read)).or_else(|| rows.evidence())
+            }
+            _ => None,
+        };
         rows.finish_as(self.meaning, found, path)
     }
 }
@@ -46,8 +50,8 @@ impl RingDecision {
 /// may wait for this decision.
 fn of_log(log: &Recording, read: impl Fn(&Path) -> Result<SweepRows, FileError>) -> Option<Evidence> {
     let records: Vec<_> = log.frames.iter().flat_map(|frame| &frame.sweeps).collect();
-    let chosen = records.len().min(SWEEPS);
-    let chosen = (0..chosen).map(|i| records[(2 * i + 1) * records.len() / (2 * chosen)]);
+    let count = records.len().min(SWEEPS);
+    let chosen = (0..count).map(|i| records[(2 * i + 1) * records.len() / (2 * count)]);
     let found: Vec<Evidence> = chosen.filter_map(|record| read(&record.path).ok()?.evidence()).collect();
     majority(&found)
 }

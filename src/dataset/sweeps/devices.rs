@@ -24,8 +24,8 @@ pub(super) enum Evidence {
     Unknown,
 }
 
-/// More numbers than this are beams: recorded vehicles merge up to five LiDARs.
-const MOST_DEVICES: usize = 8;
+/// More numbers than this, or greater ring numbers, are beams: recorded vehicles merge up to five LiDARs.
+pub(super) const MOST_DEVICES: u16 = 8;
 /// Points that a number needs to count.
 const MIN_POINTS: u32 = 200;
 /// Cells of directions: a degree of azimuth, two degrees of elevation, in which sparse beams still meet.
@@ -64,7 +64,7 @@ pub(super) fn evidence(points: &[SweepPoint], number: impl Fn(usize) -> u16) -> 
     let mut patterns: BTreeMap<u16, Pattern> = BTreeMap::new();
     for (i, point) in points.iter().enumerate() {
         patterns.entry(number(i)).or_insert_with(Pattern::new).add(point.position);
-        if patterns.len() > MOST_DEVICES {
+        if patterns.len() > usize::from(MOST_DEVICES) {
             return Evidence::Beams;
         }
     }

@@ -8,9 +8,8 @@ const COORDINATES_M: std::ops::Range<f32> = 1e-5..1e4;
 /// Returns whether a file begins with a PCD header.
 #[cfg(any(feature = "nuscenes", feature = "nuplan"))]
 pub(in crate::dataset) fn is_pcd(bytes: &[u8]) -> bool {
-    // Comments of any length precede the header.
-    const COMMENTS: usize = 1 << 16;
-    let head = &bytes[..bytes.len().min(COMMENTS)];
+    // Comments of any length precede the first line.
+    let head = &bytes[..bytes.len().min(super::pcd_header::MAX_HEADER_BYTES as usize)];
     let lines = head.split(|byte| *byte == b'\n').map(<[u8]>::trim_ascii);
     let first = lines.into_iter().find(|line| !line.is_empty() && !line.starts_with(b"#"));
     let key = first.and_then(|line| line.split(u8::is_ascii_whitespace).next());

@@ -13,9 +13,6 @@ use super::sample::{ReadAt, Sample, is_uniform};
 use crate::error::FileError;
 use crate::files::sniff;
 
-/// Bytes at the start of a file in which a header is looked for.
-pub(in crate::dataset) const HEAD_BYTES: usize = 1 << 16;
-
 /// Columns of a sweep in nuScenes layout: x, y, z, intensity, ring.
 const COLUMNS: usize = 5;
 /// Columns of a sweep without rings, as in KITTI.

@@ -1,9 +1,10 @@
 //! Sweep files: what the readers of all layouts have in common.
 //!
 //! # How it works
-//! `format` recognizes files by their header, and `layout` the layout of rows without a header by their values. `pcd`
-//! reads files with a header. `rows` collects the points and decides what a value that is not a number means.
-//! `devices` judges whether the numbers of a column are beams or merged LiDARs, and `decision` decides for a log.
+//! `format` recognizes files by their header, and `layout` the layout of rows without a header by their values, of which
+//! `sample` reads some. `pcd` reads files with a header. `rows` collects the points and decides what a value that is not
+//! a number means. `devices` judges whether the numbers of a column are beams or merged LiDARs, and `decision` decides
+//! for a log.
 
 #[cfg(any(feature = "nuscenes", feature = "nuplan"))]
 mod decision;
@@ -29,7 +30,7 @@ pub(super) use decision::RingDecision;
 pub(super) use format::is_pcd;
 pub(super) use format::named_format;
 #[cfg(feature = "nuscenes")]
-pub(super) use layout::{HEAD_BYTES, columns};
+pub(super) use layout::columns;
 pub(super) use rows::{SweepRow, SweepRows};
 #[cfg(feature = "nuscenes")]
 pub(super) use sample::ReadAt;

@@ -10,12 +10,16 @@ use std::path::Path;
 use super::lzf::decompress;
 use super::pcd_header::{Encoding, Field, Header, MAX_HEADER_BYTES};
 use super::{SweepRow, SweepRows};
+use crate::cloud::not_finite;
 use crate::dataset::{RingMeaning, Sweep};
 use crate::error::FileError;
 use crate::files::input::{SWEEP_BYTES, open_regular, read_file};
 
 /// Bytes before compressed points: their length, and the length that they expand to.
 const LENGTHS: usize = 8;
+
+/// Bytes at the start of a file that [`check_pcd`] reads: the longest header, and the lengths of compressed points.
+pub(in crate::dataset) const HEAD_BYTES: u64 = MAX_HEADER_BYTES + LENGTHS as u64;
 
 /// Returns the number of points of a PCD file from its header, after checking its length.
 ///
@@ -24,13 +28,11 @@ const LENGTHS: usize = 8;
 pub fn check_pcd_file(path: &Path) -> Result<u64, FileError> {
     let (file, length) = open_regular(path)?;
     let mut head = Vec::new();
-    // The lengths of compressed points follow the header.
-    let limit = MAX_HEADER_BYTES + LENGTHS as u64;
-    file.take(limit).read_to_end(&mut head).map_err(FileError::io("read", path))?;
+    file.take(HEAD_BYTES).read_to_end(&mut head).map_err(FileError::io("read", path))?;
     check_pcd(&head, length, path)
 }
 
-/// Returns the number of points of a PCD file of `length` bytes from its start.
+/// Returns the number of points of a PCD file of `length` bytes from its first [`HEAD_BYTES`].
 ///
 /// # Errors
 /// Fails as [`check_pcd_file`].
@@ -76,6 +78,9 @@ pub(in crate::dataset) fn pcd_rows(bytes: &[u8], path: &Path) -> Result<SweepRow
             ring: or_zero(header.ring),
             device: header.device.map(number),
         });
+    }
+    for name in header.unread {
+        sweep.note(&format!("sweeps whose {name} is not a single number of a known type (not read)"));
     }
     Ok(sweep)
 }
@@ -161,6 +166,7 @@ impl Header {
         for row in 0..self.points {
             let line = str::from_utf8(lines.next().unwrap_or_default()).unwrap_or_default();
             let before = numbers.len();
+            let number = |word: &str| not_finite(word).or_else(|| word.parse().ok());
             numbers.extend(line.split_ascii_whitespace().map_while(number));
             if numbers.len() != before + self.numbers || line.split_ascii_whitespace().count() != self.numbers
             {
@@ -171,13 +177,6 @@ impl Header {
         }
         Ok(numbers)
     }
-}
-
-/// Parses a number. C libraries write what is not a number as `-nan(ind)`, or `-1.#IND`.
-fn number(word: &str) -> Option<f64> {
-    let unsigned = word.trim_start_matches(['+', '-']).to_ascii_lowercase();
-    let is_nan = unsigned.starts_with("nan(") || unsigned.starts_with("1.#");
-    if is_nan { Some(f64::NAN) } else { word.parse().ok() }
 }
 
 #[cfg(test)]
@@ -339,6 +338,26 @@ mod tests {
     }
 
     #[test]
+    fn types_are_upper_or_lower_case() {
+        let changed = changed("TYPE F F F U U U", "TYPE f f f u u u");
+        assert_eq!(parse(&changed).unwrap(), parse(&file()).unwrap());
+    }
+
+    #[test]
+    fn fields_that_cannot_be_read_are_noted() {
+        let note =
+            |name: &str| format!("sweeps whose {name} is not a single number of a known type (not read)");
+        assert!(parse(&file()).unwrap().notes.keys().all(|note| !note.contains("not read")));
+        let sweep = parse(&changed("TYPE F F F U U U", "TYPE F F F X U F")).unwrap();
+        assert_eq!((sweep.notes[&note("intensity")], sweep.notes[&note("ring")]), (1, 1));
+        assert!(sweep.points.iter().all(|point| point.intensity == 0.0) && sweep.devices);
+        // An array takes the place of several numbers.
+        let header = "FIELDS x y z lidar_info\nSIZE 4 4 4 1\nTYPE F F F U\nCOUNT 1 1 1 2\nWIDTH 1\nHEIGHT 1\nDATA ascii\n";
+        let sweep = parse(format!("{header}1 2 3 4 5\n").as_bytes()).unwrap();
+        assert_eq!((sweep.points[0].position, sweep.notes[&note("lidar_info")]), ([1.0, 2.0, 3.0], 1));
+    }
+
+    #[test]
     fn damaged_encodings_are_refused() {
         refused(ascii().replace("7 4 0", "7 4").as_bytes(), "6 numbers as point 1", "\"3 4 5e0 7 4\"");
         refused(ascii().replace("5e0", "five").as_bytes(), "6 numbers as point 1", "\"3 4 five 7 4 0\"");
@@ -363,6 +382,21 @@ mod tests {
         let rest = [&[9; 4], &0.5_f32.to_le_bytes()[..], &1_692_868_171_700_983_u64.to_le_bytes()].concat();
         let sweep = parse(&[header.as_bytes(), position.as_flattened(), &rest].concat()).unwrap();
         assert_eq!(sweep.points, [SweepPoint { position: [1.0, 2.0, 3.0], intensity: 0.5, ring: 0 }]);
+    }
+
+    /// Python's libraries write integers of 8 bytes.
+    #[test]
+    fn integers_have_up_to_8_bytes() {
+        for kind in ["U", "I"] {
+            let header = format!(
+                "FIELDS x y z intensity ring\nSIZE 4 4 4 8 8\nTYPE F F F {kind} {kind}\nWIDTH 1\nHEIGHT 1\nDATA binary\n"
+            );
+            let values = [200_u64, 31].map(u64::to_le_bytes);
+            let position = [1.0_f32, 2.0, 3.0].map(f32::to_le_bytes);
+            let bytes = [header.as_bytes(), position.as_flattened(), values.as_flattened()].concat();
+            let point = SweepPoint { position: [1.0, 2.0, 3.0], intensity: 200.0, ring: 31 };
+            assert_eq!(parse(&bytes).unwrap().points, [point], "{kind}");
+        }
     }
 
     #[test]

@@ -9,6 +9,11 @@ use crate::files::sniff;
 /// Maximum header length, bytes; real headers take a few hundred.
 pub(super) const MAX_HEADER_BYTES: u64 = 1 << 16;
 
+/// Names of the fields that may be missing.
+const INTENSITY: &str = "intensity";
+const DEVICE: &str = "lidar_info";
+const RING: &str = "ring";
+
 /// Parsed header.
 #[derive(Debug)]
 pub(super) struct Header {
@@ -24,6 +29,8 @@ pub(super) struct Header {
     pub(super) intensity: Option<Field>,
     pub(super) device: Option<Field>,
     pub(super) ring: Option<Field>,
+    /// Names of the last three that are fields, but not single numbers of a known type.
+    pub(super) unread: Vec<&'static str>,
 }
 
 /// Encoding of the points.
@@ -54,9 +61,11 @@ enum Kind {
     U8,
     U16,
     U32,
+    U64,
     I8,
     I16,
     I32,
+    I64,
 }
 
 impl Encoding {
@@ -77,20 +86,22 @@ impl Kind {
             Self::U8 | Self::I8 => 1,
             Self::U16 | Self::I16 => 2,
             Self::F32 | Self::U32 | Self::I32 => 4,
-            Self::F64 => 8,
+            Self::F64 | Self::U64 | Self::I64 => 8,
         }
     }
 
     fn parse(kind: &str, size: usize) -> Option<Self> {
-        Some(match (kind, size) {
+        Some(match (kind.to_ascii_uppercase().as_str(), size) {
             ("F", 4) => Self::F32,
             ("F", 8) => Self::F64,
             ("U", 1) => Self::U8,
             ("U", 2) => Self::U16,
             ("U", 4) => Self::U32,
+            ("U", 8) => Self::U64,
             ("I", 1) => Self::I8,
             ("I", 2) => Self::I16,
             ("I", 4) => Self::I32,
+            ("I", 8) => Self::I64,
             _ => return None,
         })
     }
@@ -111,9 +122,11 @@ impl Field {
             Kind::U8 => rest.first_chunk().map(|b| f64::from(u8::from_le_bytes(*b))),
             Kind::U16 => rest.first_chunk().map(|b| f64::from(u16::from_le_bytes(*b))),
             Kind::U32 => rest.first_chunk().map(|b| f64::from(u32::from_le_bytes(*b))),
+            Kind::U64 => rest.first_chunk().map(|b| u64::from_le_bytes(*b) as f64),
             Kind::I8 => rest.first_chunk().map(|b| f64::from(i8::from_le_bytes(*b))),
             Kind::I16 => rest.first_chunk().map(|b| f64::from(i16::from_le_bytes(*b))),
             Kind::I32 => rest.first_chunk().map(|b| f64::from(i32::from_le_bytes(*b))),
+            Kind::I64 => rest.first_chunk().map(|b| i64::from_le_bytes(*b) as f64),
         };
         // Every field was validated to lie within the points.
         number.unwrap_or(f64::NAN)
@@ -156,19 +169,20 @@ impl Header {
             return Err(wrong(&format!("WIDTH times HEIGHT, {points} points"), found));
         }
         let (columns, stride, numbers) = lines.columns(path)?;
-        let field = |name: &str| {
-            columns.iter().find(|(n, _)| n.eq_ignore_ascii_case(name)).and_then(|(_, field)| *field)
-        };
+        let column = |name: &str| columns.iter().find(|(n, _)| n.eq_ignore_ascii_case(name));
+        let field = |name: &str| column(name).and_then(|(_, field)| *field);
         let coordinate = |name: &str| {
             let found = || wrong(&format!("{name} as a single float of 4 or 8 bytes (F)"), lines.layout());
             field(name).filter(|f| matches!(f.kind, Kind::F32 | Kind::F64)).ok_or_else(found)
         };
         let position = [coordinate("x")?, coordinate("y")?, coordinate("z")?];
-        let (intensity, device, ring) = (field("intensity"), field("lidar_info"), field("ring"));
+        let (intensity, device, ring) = (field(INTENSITY), field(DEVICE), field(RING));
+        let unread = [INTENSITY, DEVICE, RING].into_iter();
+        let unread = unread.filter(|name| column(name).is_some_and(|(_, field)| field.is_none())).collect();
         if points == 0 {
             return Err(wrong("at least one point", "none".to_owned()));
         }
-        Ok(Self { start, encoding, points, stride, numbers, position, intensity, device, ring })
+        Ok(Self { start, encoding, points, stride, numbers, position, intensity, device, ring, unread })
     }
 }
 

@@ -2,21 +2,20 @@
 
 use std::path::Path;
 
-use super::devices::{Evidence, evidence};
+use super::devices::{Evidence, MOST_DEVICES, evidence};
 use crate::dataset::notes::count;
 use crate::dataset::{RingMeaning, Sweep, SweepPoint};
 use crate::error::FileError;
 
-/// Note for values of a column that is only informative.
+/// Notes on values of columns that are only informative.
 const INTENSITIES: &str = "points whose intensity is not finite (read as 0)";
 const RINGS: &str = "points whose ring is not a whole number from 0 on (read as 0)";
+const DEVICES: &str = "points whose lidar_info is not a whole number from 0 on (read as 0)";
+/// Notes on what the numbers of a sweep mean.
 const FEW_RINGS: &str =
     "sweeps with few ring numbers, read as beams (--ring-is device if they number merged LiDARs)";
 const BEAMS: &str = "sweeps whose lidar_info numbers beams instead of LiDARs";
 const MERGED: &str = "sweeps of merged LiDARs (--ring-is beam if not)";
-
-/// Ring numbers below this may be LiDARs.
-const MOST_DEVICES: u16 = 4;
 
 /// Values of a point as stored. `device` is the LiDAR of a merged sweep, if the file has a column that says so.
 #[derive(Clone, Copy, Debug)]
@@ -35,6 +34,7 @@ pub(in crate::dataset) struct SweepRows {
     devices: Vec<u16>,
     intensities: usize,
     rings: usize,
+    wrong_devices: usize,
 }
 
 impl SweepRows {
@@ -56,7 +56,10 @@ impl SweepRows {
         let number = whole(ring);
         self.rings += usize::from(number.is_none());
         self.sweep.points.push(SweepPoint { position, intensity, ring: number.unwrap_or(0) });
-        self.devices.extend(device.map(|device| whole(device).unwrap_or(0)));
+        if let Some(device) = device.map(whole) {
+            self.wrong_devices += usize::from(device.is_none());
+            self.devices.push(device.unwrap_or(0));
+        }
     }
 
     /// Adds a note about the sweep.
@@ -64,13 +67,18 @@ impl SweepRows {
         count(&mut self.sweep.notes, kind, 1);
     }
 
+    /// Returns whether numbers of the points may be those of LiDARs.
+    pub(super) fn may_be_merged(&self) -> bool {
+        self.has_devices() || may_be_devices(&self.sweep.points)
+    }
+
     /// Returns what the directions of the points say about their numbers; `None` if no number can be that of a LiDAR.
     pub(super) fn evidence(&self) -> Option<Evidence> {
         let points = &self.sweep.points;
-        if self.has_devices() {
-            return Some(evidence(points, |i| self.devices[i]));
-        }
-        may_be_devices(points).then(|| evidence(points, |i| points[i].ring))
+        self.may_be_merged().then(|| match self.has_devices() {
+            true => evidence(points, |i| self.devices[i]),
+            false => evidence(points, |i| points[i].ring),
+        })
     }
 
     /// Returns whether a column of the file numbers several LiDARs.
@@ -99,9 +107,10 @@ impl SweepRows {
     ) -> Result<Sweep, FileError> {
         self.check_points(path)?;
         let has_devices = self.has_devices();
-        let Self { mut sweep, devices, intensities, rings } = self;
+        let Self { mut sweep, devices, intensities, rings, wrong_devices } = self;
         count(&mut sweep.notes, INTENSITIES, intensities);
         count(&mut sweep.notes, RINGS, rings);
+        count(&mut sweep.notes, DEVICES, wrong_devices);
         sweep.devices = match (meaning, found) {
             (RingMeaning::Device, _) => true,
             (RingMeaning::Beam, _) | (RingMeaning::Auto, None) => false,
@@ -188,6 +197,36 @@ mod tests {
         assert_eq!(sweep.dropped_non_finite, 2);
         // Infinity has no fraction, but it is no number of a beam either.
         assert_eq!((sweep.notes[INTENSITIES], sweep.notes[RINGS]), (2, 4));
+    }
+
+    #[test]
+    fn wrong_numbers_of_lidars_are_counted() {
+        let at = [1.0, 2.0, 3.0];
+        for wrong in [f64::NAN, f64::INFINITY, -1.0, 0.5] {
+            let sweep = sweep(&[(at, 4.0, 5.0, Some(wrong)), (at, 4.0, 6.0, Some(0.0))]);
+            let rings: Vec<u16> = sweep.points.iter().map(|point| point.ring).collect();
+            assert_eq!((sweep.devices, rings, sweep.notes[DEVICES]), (false, vec![5, 6], 1), "{wrong}");
+        }
+        assert!(sweep(&[(at, 4.0, 5.0, Some(4.0))]).notes.is_empty());
+    }
+
+    /// LiDARs of few beams are not told from merged LiDARs by their numbers, up to the most that are merged.
+    #[test]
+    fn few_beams_are_noted() {
+        for beams in 2..=MOST_DEVICES + 1 {
+            let mut rows = SweepRows::default();
+            for i in 0..beams * 400 {
+                let (beam, turn) =
+                    (f32::from(i % beams), f32::from(i / beams) * std::f32::consts::TAU / 400.0);
+                let position = [20.0 * turn.cos(), 20.0 * turn.sin(), beam - 4.0];
+                rows.push(SweepRow { position, intensity: 0.0, ring: beam.into(), device: None });
+            }
+            let sweep = finished(rows, RingMeaning::Auto);
+            let rings = sweep.points.iter().enumerate().all(|(i, p)| p.ring == i as u16 % beams);
+            let notes: Vec<&str> = sweep.notes.keys().map(String::as_str).collect();
+            let expected = if beams <= MOST_DEVICES { vec![FEW_RINGS] } else { Vec::new() };
+            assert_eq!((sweep.devices, rings, notes), (false, true, expected), "{beams}");
+        }
     }
 
     #[test]

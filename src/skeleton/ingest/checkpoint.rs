@@ -100,15 +100,15 @@ impl Unfinished {
     fn read(&self) -> Result<BuildState, FileError> {
         let path = self.path().join(FILE);
         let checkpoint: Checkpoint<Plan, BuildState> = json::read(&path, "a checkpoint")?;
-        let frames: usize = self.plan.logs.iter().map(|log| log.t_us.len()).sum();
-        if checkpoint.done.frames > frames && checkpoint.plan == self.plan {
-            let found = format!("{} done", checkpoint.done.frames);
-            return Err(FileError::content(format!("at most {frames} frames"), found, &path));
-        }
         if checkpoint.plan != self.plan {
             let expected = "an unfinished build of the same version, logs, frames and options";
             let found = difference(&self.plan, &checkpoint.plan);
             return Err(FileError::content(expected, found, &path));
+        }
+        let frames: usize = self.plan.logs.iter().map(|log| log.t_us.len()).sum();
+        if checkpoint.done.frames > frames {
+            let found = format!("{} done", checkpoint.done.frames);
+            return Err(FileError::content(format!("at most {frames} frames"), found, &path));
         }
         Ok(checkpoint.done)
     }

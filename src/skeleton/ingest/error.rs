@@ -5,7 +5,7 @@ use std::path::PathBuf;
 
 use crate::dataset::{DatasetError, Gap};
 use crate::error::FileError;
-use crate::files::text::printable;
+use crate::files::text::{printable, printable_path};
 
 /// Errors of building a skeleton.
 #[derive(Debug, thiserror::Error)]
@@ -67,7 +67,7 @@ pub enum BuildError {
     #[error("expected to build to the end, found a request to stop")]
     Stopped,
     /// The build failed after its first checkpoint and can be resumed.
-    #[error("{source}; {frames} frames are done and retained: {}", path.display())]
+    #[error("{source}; {frames} frames are done and retained: {}", printable_path(path))]
     Interrupted {
         /// Cause of the failure.
         source: Box<BuildError>,

@@ -32,9 +32,9 @@ fn file(name: &str, data: &[u8]) -> PathBuf {
 }
 
 fn sweep_bin(data: &[u8]) {
-    let path = Path::new("a.pcd.bin");
-    match nuscenes::parse_sweep(data, path) {
-        Err(error) => told(error, path, data),
+    let path = file("a.pcd.bin", data);
+    match nuscenes::read_sweep_file(&path) {
+        Err(error) => told(error, &path, data),
         Ok(sweep) => {
             // Rows of four columns and PCD files are recognized too.
             let is_plain =
@@ -67,7 +67,7 @@ fn sweep_bin_seeds() -> Vec<Seed> {
 
 fn sweep_pcd(data: &[u8]) {
     let path = file("a.pcd", data);
-    match (nuplan::check_pcd_file(&path), nuplan::parse_pcd(data, &path)) {
+    match (nuplan::check_pcd_file(&path), nuplan::read_pcd_file(&path)) {
         (Ok(count), Ok(sweep)) => {
             assert_eq!(count, (sweep.points.len() + sweep.dropped_non_finite) as u64);
             assert!(sweep.points.iter().all(|p| p.position.iter().all(|v| v.is_finite())));

@@ -60,13 +60,18 @@ pub(super) fn text(json: &Value) -> String {
         line("lights", format!("{color:<34} {count} times"));
     }
     for (what, count) in json["left_out"].as_object().into_iter().flatten() {
-        line("left out", format!("{what}: {count}"));
+        line("noted", format!("{what}: {count}"));
     }
     for gap in first(&json["gaps"]) {
         line("", gap);
     }
     let damaged = damaged(json);
-    line("damaged", if damaged == 0 { "nothing".to_owned() } else { format!("{damaged} files") });
+    let files = match damaged {
+        0 => "nothing".to_owned(),
+        1 => "1 file, missing or damaged".to_owned(),
+        _ => format!("{damaged} files, missing or damaged"),
+    };
+    line("damaged", files);
     for problem in first(&json["damaged"]) {
         line("", problem);
     }

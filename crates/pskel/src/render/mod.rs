@@ -28,6 +28,9 @@ pub(super) fn run(args: RenderArgs) -> anyhow::Result<()> {
     for (note, count) in log.notes.iter().filter(|(note, _)| note.contains("camera_distortion")) {
         warn(&format!("{count} {note}"));
     }
+    if args.distort && log.rig.iter().all(|rig| rig.camera.distortion.is_none()) {
+        warn(&format!("--distort changes nothing: log {} states no lens distortion", log.shown_name()));
+    }
     let skeleton = skeletons::open_for(&args.skeleton, log)?;
     let views = args.cameras.as_deref().map(cloud::cameras::read).transpose()?;
     let prompt = args.annotations.as_deref().map_or(Ok(PromptParts::default()), PromptParts::read)?;

@@ -325,6 +325,21 @@ fn frames_without_an_ego_pose_are_left_out() {
     log.refuses(&["at least one ego pose", "none"], TABLES[1]);
 }
 
+/// Without annotations, the frames are at the times of the sweeps.
+#[test]
+fn sweeps_without_an_ego_pose_are_counted_once() {
+    let log = TinyAv2::new();
+    log.edit(TABLES[1], |columns| columns.iter_mut().for_each(|(_, c)| *c = c.slice(0, 5)));
+    std::fs::remove_file(log.path(TABLES[0])).unwrap();
+    assert_eq!(log.open().unwrap().log().frames.len(), 2);
+    let expected = [
+        ("images without an ego pose", RING.len()),
+        ("logs without annotations", 1),
+        ("sweeps without an ego pose", 1),
+    ];
+    assert_eq!(notes(&log), expected.map(|(kind, count)| (kind.to_owned(), count)));
+}
+
 /// A sweep and images between two frames belong to the later frame.
 #[test]
 fn what_lies_between_frames_belongs_to_the_interval_that_ends_with_a_frame() {

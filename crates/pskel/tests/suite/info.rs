@@ -17,8 +17,12 @@ fn info(log: &TinyLog, target: &str) -> Value {
     json
 }
 
+/// Returns the description as text. The exit code must be that of the description as JSON.
+#[track_caller]
 fn text(log: &TinyLog, target: &str) -> String {
-    String::from_utf8(log.run(&format!("info {target}")).stdout).unwrap()
+    let [text, json] = ["", "--json "].map(|option| log.run(&format!("info {option}{target}")));
+    assert_eq!(text.status, json.status, "{}", String::from_utf8_lossy(&text.stderr));
+    String::from_utf8(text.stdout).unwrap()
 }
 
 #[test]
@@ -57,7 +61,7 @@ fn a_log_of_nuplan_is_told_with_its_map() {
     let merged = "sweeps of merged LiDARs (--ring-is beam if not), in 4 sweeps read";
     assert_eq!(told["left_out"], json!({"map: baseline paths of unknown lanes": 1, merged: 4}));
     assert_eq!(told["damaged"].as_array().unwrap().len(), 1, "{}", told["damaged"]);
-    assert!(text(&log, &target).contains("left out   map: baseline paths of unknown lanes: 1"));
+    assert!(text(&log, &target).contains("noted      map: baseline paths of unknown lanes: 1"));
 }
 
 #[test]

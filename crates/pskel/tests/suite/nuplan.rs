@@ -332,7 +332,7 @@ fn the_commands_run_on_eight_cameras() {
     let output = std::process::Command::new(PSKEL).args(["info", &log]).output().unwrap();
     let info = String::from_utf8(output.stdout).unwrap();
     assert_eq!(output.status.code(), Some(1));
-    assert!(info.contains("missing image files: 1") && info.contains("damaged    1 files"), "{info}");
+    assert!(info.contains("missing image files: 1") && info.contains("damaged    1 file, missing"), "{info}");
     assert!(info.contains("4 over 0.1 s at 20.0 Hz"), "{info}");
     let built = run(&["build", &log, "--out", "skeleton"]);
     assert!(

@@ -172,6 +172,11 @@ fn files_of_nuplan_are_regular() {
     let commands = commands.each_ref().map(String::as_str);
     for file in [made.blob(&sweep_file(0)), made.blob(&image_file(RING[0], 0))] {
         refuse_all_kinds(&folder, &file, &commands[1..]);
+        let whole = std::fs::read(&file).unwrap();
+        put("fifo", &file);
+        assert!(damaged(&folder, &log).contains("expected a regular file, found a FIFO"));
+        std::fs::remove_file(&file).unwrap();
+        std::fs::write(&file, whole).unwrap();
     }
     // A folder in its place is read as a folder of logs.
     let kinds = KINDS.into_iter().filter(|(kind, _)| *kind != "folder").collect::<Vec<_>>();

@@ -10,12 +10,14 @@ use crate::tiny_log::{FIRST_US, FRAMES, STEP_US, TinyLog};
 
 const HOUR_US: i64 = 3_600_000_000;
 
-/// Runs a build that must fail, and returns its message.
+/// Runs a description and a build that must fail, and returns their messages.
 #[track_caller]
-fn refused(case: &Case, name: &str) -> String {
-    let ended = case.run(&format!("build nuscenes:in/{name} --out none"));
-    assert_eq!(ended.code, Some(1), "{}", ended.stderr);
-    ended.stderr
+fn refused(case: &Case, name: &str) -> [String; 2] {
+    [format!("info nuscenes:in/{name}"), format!("build nuscenes:in/{name} --out none")].map(|args| {
+        let ended = case.run(&args);
+        assert_eq!(ended.code, Some(1), "{args}: {}", ended.stderr);
+        ended.stderr
+    })
 }
 
 #[test]
@@ -23,23 +25,26 @@ fn rejects_key_frames_of_another_clock_than_their_sample() {
     let Some(case) = Case::new("data/17-lidar-clock") else { return };
     case.succeed("build nuscenes:in/right --out right");
     let report = &case.json("right/skeleton.json");
-    assert_eq!(report["actors"].as_array().unwrap().len(), 75);
+    let actors = report["actors"].as_array().unwrap();
+    let points: u64 = actors.iter().map(|actor| actor["points"].as_u64().unwrap()).sum();
+    assert_eq!((actors.len(), points), (75, 14_766));
     let data = case.json("in/right/v1.0-mini/sample_data.json");
     for (name, cause) in
         [("milliseconds", "milliseconds instead of"), ("an-hour-late", "3600.000 s later (1 h")]
     {
-        let message = refused(&case, name);
-        let record = data
-            .as_array()
-            .unwrap()
-            .iter()
-            .find(|record| message.contains(record["token"].as_str().unwrap()));
-        assert!(
-            record.is_some_and(|record| record["filename"].as_str().unwrap().contains("LIDAR")),
-            "{message}"
-        );
-        for part in [cause, "LIDAR_TOP", "sample_data.json", "within a second of their sample"] {
-            assert!(message.contains(part), "{message} without {part}");
+        for message in refused(&case, name) {
+            let record = data
+                .as_array()
+                .unwrap()
+                .iter()
+                .find(|record| message.contains(record["token"].as_str().unwrap()));
+            assert!(
+                record.is_some_and(|record| record["filename"].as_str().unwrap().contains("LIDAR")),
+                "{message}"
+            );
+            for part in [cause, "LIDAR_TOP", "sample_data.json", "within a second of their sample"] {
+                assert!(message.contains(part), "{message} without {part}");
+            }
         }
     }
 }

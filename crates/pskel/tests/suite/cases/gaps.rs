@@ -46,7 +46,8 @@ pub(super) fn assert_policy(folder: &Path, log: &str, note: &str, named: &str, i
     for command in [
         format!("build {log} --out strict --missing error"),
         format!(
-            "render {log} --skeleton policy --out strict --missing error --frames 0..1 --maps depth --size 8x12"
+            "render {log} --skeleton policy --out strict --missing error --frames 0..1 --maps depth --size 8x12 \
+             --rasterizer cpu"
         ),
     ] {
         let ended = pskel(folder, &command);
@@ -203,7 +204,7 @@ fn maps_that_are_not_drawn_are_not_read() {
     let (root, log) = (made.path(""), format!("nuplan:{}", made.database().display()));
     succeed(&root, &format!("build {log} --out sk"));
     std::fs::remove_file(made.map()).unwrap();
-    let some = "--maps color,depth --size 16x24";
+    let some = "--maps color,depth --size 16x24 --rasterizer cpu";
     succeed(&root, &format!("render {log} --skeleton sk --out maps --frames 0..1 {some}"));
     succeed(
         &root,
@@ -248,6 +249,20 @@ fn case_one_file_missing() {
     let images =
         |variant: &str| case.json(&format!("out/{variant}/skeleton.json"))["report"]["images"].clone();
     assert_eq!((images("image"), images("row"), images("sweep")), (23.into(), 23.into(), 24.into()));
+    for (variant, files) in [("image", 1), ("sweep", 1), ("row", 0)] {
+        let (json, code) = info(case.path(), &format!("nuscenes:in/{variant}"));
+        let damaged = json["damaged"].as_array().unwrap();
+        assert_eq!((damaged.len(), code), (files, Some(i32::from(files > 0))), "{variant}: {damaged:?}");
+        // Every command that reads the log goes on without the part.
+        let few = "--maps color --out-size 56x100 --rasterizer cpu";
+        case.succeed(&format!(
+            "export nuscenes:in/{variant} --layout webdataset --skeletons out/sk-{variant} --out out/shards-{variant} \
+             --frames 0..1 {few}"
+        ));
+        case.succeed(&format!(
+            "simulate nuscenes:in/{variant} --skeleton out/{variant} --out out/rollout-{variant} --steps 1 {few}"
+        ));
+    }
 }
 
 #[test]
@@ -272,14 +287,18 @@ fn case_argoverse_without_annotations() {
 #[test]
 fn case_map_not_asked_for() {
     let Some(case) = Case::new("data/09-map-not-asked-for") else { return };
-    let few = "--maps color,depth --frames 0..1 --out-size 56x100";
+    let few = "--maps color,depth --frames 0..1 --out-size 56x100 --rasterizer cpu";
     for variant in ["layer-missing", "not-downloaded", "cut-off"] {
         let log = format!("nuplan:in/{variant}/{DB}");
         case.succeed(&format!(
             "export {log} --layout webdataset --skeletons out/sk --out out/{variant} {few}"
         ));
     }
+    let (json, _) = info(case.path(), &format!("nuplan:in/layer-missing/{DB}"));
+    assert_eq!(json["left_out"]["map: maps without carpark_areas"], 1, "{json:#}");
     let log = format!("nuplan:in/cut-off/{DB}");
+    let (json, code) = info(case.path(), &log);
+    assert!(json["damaged"].to_string().contains("map.gpkg") && code == Some(1), "{json:#}");
     case.run(&format!("export {log} --layout webdataset --skeletons out/sk --out out/all --frames 0..1"))
         .refused("all maps", &["map.gpkg"]);
 }
