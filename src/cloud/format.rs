@@ -1,11 +1,12 @@
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use glam::DVec3;
 use serde::Serialize;
 
 use super::{Point, PointFile, npy, ply};
 use crate::error::FileError;
-use crate::files::{FileKind, write_json};
+use crate::files::input::is_taken;
+use crate::files::{FileKind, Inputs, OutputFile};
 
 /// File format of points.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -59,30 +60,41 @@ impl PointFormat {
         }
     }
 
-    /// Writes the points of a file. If they are relative to an origin, also writes it beside them: `FILE.origin.json`, like
-    /// `p.npy.origin.json`, whose path is returned. Otherwise removes the origin of an earlier file.
+    /// Opens, before any work, a file of points to write, and the file of its origin beside it: `FILE.origin.json`, like
+    /// `p.npy.origin.json`.
     ///
     /// # Errors
-    /// Fails if a file cannot be written, or if a file of another kind has the name of the origin's.
-    pub fn write_file(self, path: &Path, file: &PointFile) -> Result<Option<PathBuf>, FileError> {
-        let with_class = file.points.iter().any(|p| p.class() != 0);
-        let mut origin = path.as_os_str().to_owned();
+    /// Fails as [`OutputFile::open`] for either.
+    pub fn open_files(self, path: &Path, inputs: &Inputs) -> Result<[OutputFile; 2], FileError> {
+        let points = OutputFile::open(path, self.kind(), inputs)?;
+        let mut origin = points.path().as_os_str().to_owned();
         origin.push(".origin.json");
-        let origin = PathBuf::from(origin);
+        Ok([points, OutputFile::open(Path::new(&origin), ORIGIN, inputs)?])
+    }
+
+    /// Writes the points of a file. If they are relative to an origin, also writes that, and returns its path. Otherwise removes
+    /// the origin of an earlier file.
+    ///
+    /// # Errors
+    /// Fails if a file cannot be written, or if a file of another kind has the name of the origin's by now.
+    pub fn write_files<'a>(
+        self,
+        [points, origin]: &'a [OutputFile; 2],
+        file: &PointFile,
+    ) -> Result<Option<&'a Path>, FileError> {
+        let with_class = file.points.iter().any(|p| p.class() != 0);
         let has_origin = file.origin != DVec3::ZERO;
-        let is_stale = !has_origin && origin.symlink_metadata().is_ok();
-        if has_origin || is_stale {
-            ORIGIN.check(&origin)?;
-        }
+        let stale = Some(origin.path()).filter(|path| !has_origin && is_taken(path));
+        stale.map_or(Ok(()), |path| ORIGIN.check(path))?;
         if has_origin {
             // Written before the points, so that points never exist without their origin.
-            write_json(&origin, &FileOrigin { origin: file.origin.to_array() })?;
+            origin.write_json(&FileOrigin { origin: file.origin.to_array() })?;
         }
-        self.write(path, &file.points, with_class)?;
-        if is_stale {
-            std::fs::remove_file(&origin).map_err(FileError::io("delete", &origin))?;
+        self.write(points.path(), &file.points, with_class)?;
+        if let Some(path) = stale {
+            std::fs::remove_file(path).map_err(FileError::io("delete", path))?;
         }
-        Ok(has_origin.then_some(origin))
+        Ok(has_origin.then_some(origin.path()))
     }
 }
 

@@ -4,7 +4,10 @@ use std::fs::Metadata;
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 
+use super::SharedFolder;
 use super::manifest::FILES;
+use super::resolved::{is_inside, resolved};
+use super::work::OWN_NAME;
 use crate::error::FileError;
 
 /// Depth to which folders are searched for links: parts of data sets are commonly links to other disks.
@@ -34,8 +37,13 @@ impl Inputs {
     /// Fails if it is.
     pub(super) fn check_folder(&self, path: &Path) -> Result<(), FileError> {
         self.check_same(path)?;
-        let has_entries = std::fs::read_dir(path).is_ok_and(|mut entries| entries.next().is_some());
-        if has_entries && !path.join(FILES).exists() { self.check_outside(path) } else { Ok(()) }
+        // These alone are the rest of a run that was killed before it listed a file.
+        let rest = [OWN_NAME, SharedFolder::WORK, SharedFolder::OPTIONS];
+        let has_entries = std::fs::read_dir(path).is_ok_and(|entries| {
+            entries.flatten().any(|entry| rest.iter().all(|name| entry.file_name() != *name))
+        });
+        let is_output = path.join(FILES).exists() || SharedFolder::is_at(path);
+        if has_entries && !is_output { self.check_outside(path) } else { Ok(()) }
     }
 
     /// Checks that a folder that is replaced as a whole is none of the inputs and contains none.
@@ -44,9 +52,7 @@ impl Inputs {
     /// Fails if it is one or contains one.
     pub(super) fn check_whole(&self, path: &Path) -> Result<(), FileError> {
         self.check_same(path)?;
-        let Ok(found) = path.canonicalize() else { return Ok(()) };
-        let is_inside = |input: &&PathBuf| input.canonicalize().is_ok_and(|input| input.starts_with(&found));
-        match self.0.iter().find(is_inside) {
+        match self.0.iter().find(|input| input.exists() && is_inside(input, path)) {
             None => Ok(()),
             Some(input) => {
                 let expected = format!("an output apart from the input {}", input.display());
@@ -61,7 +67,9 @@ impl Inputs {
     /// # Errors
     /// Fails if it is.
     pub fn check_outside(&self, path: &Path) -> Result<(), FileError> {
-        let ancestors: Vec<(u64, u64)> = existing_ancestors(path).iter().map(identity).collect();
+        let place = resolved(path);
+        let existing = place.ancestors().skip(1).filter_map(|above| above.metadata().ok());
+        let ancestors: Vec<(u64, u64)> = existing.map(|about| identity(&about)).collect();
         let is_above = |folder: &Path| {
             folder.metadata().is_ok_and(|about| about.is_dir() && ancestors.contains(&identity(&about)))
         };
@@ -95,15 +103,6 @@ impl Inputs {
 
 fn identity(about: &Metadata) -> (u64, u64) {
     (about.dev(), about.ino())
-}
-
-/// Returns the folders above a path, from the place where links lead; those that do not exist yet are left out.
-fn existing_ancestors(path: &Path) -> Vec<Metadata> {
-    let absolute = std::path::absolute(path).unwrap_or_else(|_| path.to_owned());
-    // A link to a file that does not exist yet is written where it is, an existing file where the link leads.
-    let place = absolute.canonicalize().unwrap_or(absolute);
-    let existing = place.ancestors().skip(1).find_map(|above| above.canonicalize().ok());
-    existing.iter().flat_map(|above| above.ancestors()).filter_map(|above| above.metadata().ok()).collect()
 }
 
 /// Returns the links in a folder, down to a depth.
@@ -144,6 +143,7 @@ mod tests {
             "disk/images/front/new",
             "name.json",
             "data/new/folder/file",
+            "none/../data/new",
         ] {
             let message = inputs.check_outside(&at(name)).unwrap_err().to_string();
             assert!(message.starts_with("expected an output outside of the input "), "{name}: {message}");
@@ -180,6 +180,16 @@ mod tests {
         assert!(message.starts_with("expected an output outside of the input "), "{message}");
         inputs.check_folder(&at("out/sk/new")).unwrap();
         inputs.check_folder(&at("out/sk/maps")).unwrap();
+        std::fs::create_dir_all(at("out/sk/killed").join(OWN_NAME)).unwrap();
+        inputs.check_folder(&at("out/sk/killed")).unwrap();
+        // An export, also one that was killed before it had a shard.
+        std::fs::create_dir_all(at("out/sk/export").join(SharedFolder::WORK)).unwrap();
+        std::fs::write(at("out/sk/export").join(SharedFolder::OPTIONS), "").unwrap();
+        inputs.check_folder(&at("out/sk/export")).unwrap();
+        std::fs::write(at("out/sk/export/a.tar"), "").unwrap();
+        inputs.check_folder(&at("out/sk/export")).unwrap_err();
+        std::fs::create_dir(at("out/sk/export").join(SharedFolder::RECORDS)).unwrap();
+        inputs.check_folder(&at("out/sk/export")).unwrap();
         let message = inputs.check_whole(&at("folder")).unwrap_err().to_string();
         assert!(message.contains("found a folder that contains it"), "{message}");
     }

@@ -102,8 +102,10 @@ impl Manifest {
         let path = folder.join(FILES);
         // A list with another name is part of a copy of the folder by hard links.
         if self.paths.is_empty() || path.metadata().is_ok_and(|list| list.nlink() > 1) {
-            self.paths.extend(new);
-            return self.write(folder);
+            let all = Self { paths: self.paths.union(&new).cloned().collect(), ..self.clone() };
+            all.write(folder)?;
+            *self = all;
+            return Ok(());
         }
         let text: String = new.iter().map(|path| format!("{}\n", path.display())).collect();
         let appended =
@@ -161,7 +163,8 @@ impl Manifest {
     }
 }
 
-/// Returns whether a path names something below the folder that it is relative to, whatever links are there.
+/// Returns whether a path, by its text alone, names something below the folder that it is relative to: it has neither a
+/// root nor `..`. Links are not considered.
 pub fn is_below(path: &Path) -> bool {
     path.components().all(|part| matches!(part, Component::Normal(_)))
 }

@@ -14,9 +14,13 @@ pub(super) fn is_mounted(path: &Path) -> bool {
 
 /// Returns whether nothing can be created beside a path, for instance because a container's own files are read-only.
 pub(super) fn is_beside_read_only(path: &Path) -> bool {
-    let parent = path.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    let found = rustix::fs::access(parent, Access::WRITE_OK | Access::EXEC_OK);
+    let found = rustix::fs::access(parent(path), Access::WRITE_OK | Access::EXEC_OK);
     found.is_err_and(|error| error != rustix::io::Errno::NOENT)
+}
+
+/// Returns the folder that a path is in; `.` for a name alone.
+pub(super) fn parent(path: &Path) -> &Path {
+    path.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."))
 }
 
 /// Returns whether an error of a rename says that the path itself cannot be renamed or replaced by a rename.

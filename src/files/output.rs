@@ -22,11 +22,16 @@ use super::Inputs;
 use super::manifest::{Manifest, check_way, files_below, refusal};
 use super::pending::{finish_undisturbed, remove};
 use super::place;
+use super::resolved::resolved;
 use super::work::{OWN_NAME, WorkFolder};
 use crate::error::FileError;
 
-/// Kinds of whole folders in which nothing else may be.
-const CLOSED: [&str; 2] = ["skeleton", "templates"];
+/// Kinds of whole folders in which no other output may be: it would be a foreign file for the next run that writes them.
+const CLOSED: [&str; 2] = [SKELETON, TEMPLATES];
+/// Kind of a skeleton.
+pub(crate) const SKELETON: &str = "skeleton";
+/// Kind of a template library.
+pub(crate) const TEMPLATES: &str = "templates";
 
 /// Output folder that grows entry by entry.
 #[derive(Debug)]
@@ -54,10 +59,10 @@ impl OutputFolder {
     /// Opens a folder for a kind of content (`maps`, `rollout`, ...), and creates it if it does not exist.
     ///
     /// # Errors
-    /// Fails if another process uses the folder, if it has another kind or is one of `inputs`, or on an I/O error.
+    /// Fails if another process uses the folder, if it has another kind, if it is one of `inputs` or a part of one, if it is
+    /// in a skeleton or a template library, if it is a link that leads nowhere, or on an I/O error.
     pub fn open(path: &Path, kind: &str, inputs: &Inputs) -> Result<Self, FileError> {
-        inputs.check_folder(path)?;
-        check_above(path)?;
+        check_place(path, inputs)?;
         if path.is_symlink() && !path.exists() {
             return Err(FileError::content("a folder or none", "a link that leads nowhere", path));
         }
@@ -203,11 +208,21 @@ pub fn resolved_output(path: PathBuf) -> PathBuf {
     if path.is_symlink() && path.is_dir() { path.canonicalize().unwrap_or(path) } else { path }
 }
 
-/// Checks that a folder is not below an output that appears as a whole, and which readers open as a whole.
+/// Checks, before any work, that an output folder that grows may be at a path.
+///
+/// # Errors
+/// Fails if the path is one of `inputs` or a part of one, or if it is in a skeleton or a template library.
+pub fn check_place(path: &Path, inputs: &Inputs) -> Result<(), FileError> {
+    inputs.check_folder(path)?;
+    check_above(path)
+}
+
+/// Checks that an output is not below a folder of one of the kinds [`CLOSED`].
 pub(super) fn check_above(path: &Path) -> Result<(), FileError> {
-    let absolute = std::path::absolute(path).map_err(FileError::io("read", path))?;
-    let existing = absolute.ancestors().skip(1).find_map(|above| above.canonicalize().ok());
-    for folder in existing.iter().flat_map(|above| above.ancestors()) {
+    let place = resolved(path);
+    let above = place.ancestors().skip(1);
+    // What is in a work folder, also in that of a mount point, is temporary.
+    for folder in above.take_while(|folder| !folder.ends_with(OWN_NAME)) {
         // Folders above are the user's: a list that cannot be read is none of ours.
         let Ok(Some(manifest)) = Manifest::read(folder) else { continue };
         if CLOSED.contains(&manifest.kind.as_str()) {
@@ -247,12 +262,14 @@ mod tests {
         std::fs::create_dir(&skeleton).unwrap();
         std::fs::write(skeleton.join("a.points"), "").unwrap();
         Manifest::of("skeleton", &[], &skeleton).unwrap().write(&skeleton).unwrap();
-        for name in ["maps", "new/maps", "../sk/maps"] {
+        for name in ["maps", "new/maps", "../sk/maps", "../none/../sk/maps"] {
             let opened = OutputFolder::open(&skeleton.join(name), "maps", &Inputs::default());
             let message = opened.unwrap_err().to_string();
             assert!(message.starts_with("expected an output outside of the skeleton "), "{message}");
         }
         OutputFolder::open(&skeleton.join("../maps"), "maps", &Inputs::default()).unwrap();
+        std::fs::create_dir(skeleton.join(OWN_NAME)).unwrap();
+        check_above(&skeleton.join(OWN_NAME).join("new")).unwrap();
     }
 
     #[test]

@@ -5,16 +5,17 @@ use std::path::{Path, PathBuf};
 
 use rustix::fs::{Access, access};
 
-use super::Inputs;
 use super::input::open_regular;
 use super::manifest::Manifest;
+use super::mounts::parent;
+use super::output::check_above;
+use super::resolved::is_inside;
 use super::whole::{created_at, target, write_json, write_whole};
+use super::{Inputs, SharedFolder};
 use crate::error::FileError;
 
 /// Length of the beginning that identifies the kind of a file, bytes.
 const HEAD: u64 = 4096;
-/// Files of an export, which has a record per shard instead of one list.
-const EXPORT: [&str; 2] = ["export.json", "shards"];
 
 /// Kind of an output file, recognized by its beginning. Only files of the same kind are replaced.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -23,7 +24,7 @@ pub struct FileKind {
     pub name: &'static str,
     /// Bytes with which every file of the kind begins.
     pub begin: &'static [u8],
-    /// Bytes of which one follows somewhere in the first 4096; none if the beginning is enough.
+    /// Sequences of bytes of which at least one follows within the first 4096 bytes; empty if the beginning is enough.
     pub marks: &'static [&'static [u8]],
 }
 
@@ -39,14 +40,16 @@ impl OutputFile {
     /// Checks, before any work, that a file may be written.
     ///
     /// # Errors
-    /// Fails if the file is one of the inputs or below one, if it belongs to another output, if a file of another kind, a
-    /// folder or a device is there, if its folder does not exist, or if it cannot be written there.
+    /// Fails if the file is one of the inputs or below one, if it belongs to another output or is in a skeleton or a template
+    /// library, if a file of another kind, a folder or a device is there, if its folder does not exist, or if it cannot be
+    /// written there.
     pub fn open(path: &Path, kind: FileKind, inputs: &Inputs) -> Result<Self, FileError> {
         let path = if path.exists() { path.to_owned() } else { created_at(path) };
         inputs.check_same(&path)?;
         check_other_outputs(&path)?;
         inputs.check_outside(&path)?;
         check_name(&path)?;
+        check_above(&path)?;
         check_parent(&path)?;
         kind.check(&path)?;
         check_writable(&path)?;
@@ -63,14 +66,11 @@ impl OutputFile {
     /// # Errors
     /// Fails if it is in the folder.
     pub fn check_outside(path: &Path, folder: &Path) -> Result<(), FileError> {
-        let resolved = |path: &Path| path.canonicalize().or_else(|_| std::path::absolute(path));
-        match (resolved(parent(&created_at(path))), resolved(folder)) {
-            (Ok(parent), Ok(folder)) if parent.starts_with(&folder) => {
-                let expected = format!("a file outside of the output {}", folder.display());
-                Err(FileError::content(expected, "one in it", path))
-            }
-            _ => Ok(()),
+        if !is_inside(path, folder) {
+            return Ok(());
         }
+        let expected = format!("a file outside of the output {}", folder.display());
+        Err(FileError::content(expected, "one in it", path))
     }
 
     /// Writes the file with [`write_whole`].
@@ -93,17 +93,6 @@ impl OutputFile {
         self.kind.check(&self.path)?;
         write_json(&self.path, value)
     }
-}
-
-/// Returns whether two paths are one file, which need not exist yet.
-pub fn is_one_file(a: &Path, b: &Path) -> bool {
-    let place = |path: &Path| {
-        let path = &created_at(path);
-        let folder = parent(path).canonicalize().unwrap_or_else(|_| parent(path).to_owned());
-        let named = folder.join(path.file_name().unwrap_or_default());
-        named.canonicalize().unwrap_or(named)
-    };
-    place(a) == place(b)
 }
 
 impl FileKind {
@@ -137,7 +126,8 @@ fn check_other_outputs(path: &Path) -> Result<(), FileError> {
     let absolute = path.canonicalize().map_err(FileError::io("read", path))?;
     let part = |found: String| FileError::content("a file that is no part of another output", found, path);
     for folder in absolute.ancestors().skip(1) {
-        if EXPORT.iter().all(|name| folder.join(name).exists()) {
+        // It has a record per shard instead of one list.
+        if SharedFolder::is_at(folder) {
             return Err(part(format!("one of the export {}", folder.display())));
         }
         let Some(manifest) = Manifest::read(folder)? else { continue };
@@ -152,7 +142,7 @@ fn check_other_outputs(path: &Path) -> Result<(), FileError> {
 fn check_name(path: &Path) -> Result<(), FileError> {
     let text = path.as_os_str().as_encoded_bytes();
     let is_unnamed = text.is_empty() || [b"/".as_slice(), b"/."].iter().any(|end| text.ends_with(end));
-    // Folders that exist are found below.
+    // Folders that exist are refused by `FileKind::check`.
     if is_unnamed && !path.is_dir() {
         return Err(FileError::content("the path of a file", "one that ends without a name", path));
     }
@@ -165,10 +155,12 @@ fn check_name(path: &Path) -> Result<(), FileError> {
     }
 }
 
-/// Checks that a file can be created in its folder, or that an existing one can be written to.
+/// Checks that a file can be created in its folder, or that an existing one can be written to. A link counts as the file
+/// to which it leads.
 fn check_writable(path: &Path) -> Result<(), FileError> {
-    match access(parent(path), Access::WRITE_OK | Access::EXEC_OK) {
-        Err(error) if access(path, Access::WRITE_OK).is_err() => {
+    let place = target(path)?;
+    match access(parent(&place), Access::WRITE_OK | Access::EXEC_OK) {
+        Err(error) if access(&place, Access::WRITE_OK).is_err() => {
             Err(FileError::io("write", path)(error.into()))
         }
         _ => Ok(()),
@@ -183,10 +175,6 @@ fn check_parent(path: &Path) -> Result<(), FileError> {
         Ok(_) => Err(FileError::content("a file in a folder", "another file in its place", folder)),
         Err(error) => Err(FileError::io("read", folder)(error)),
     }
-}
-
-fn parent(path: &Path) -> &Path {
-    path.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."))
 }
 
 #[cfg(test)]
@@ -286,18 +274,6 @@ mod tests {
             assert!(message.starts_with(expected), "{name}: {message}");
         }
         std::os::unix::fs::symlink("disk/x", at("x")).unwrap();
-        assert!(is_one_file(&at("x"), &at("disk/x")));
         assert!(OutputFile::check_outside(&at("x"), &at("disk")).is_err());
-    }
-
-    #[test]
-    fn one_file_has_many_names() {
-        let folder = tempfile::tempdir().unwrap();
-        std::fs::create_dir(folder.path().join("a")).unwrap();
-        let at = |name: &str| folder.path().join(name);
-        std::os::unix::fs::symlink("x", at("link")).unwrap();
-        assert!(is_one_file(&at("x"), &at("a/../x")) && !is_one_file(&at("x"), &at("a/x")));
-        std::fs::write(at("x"), "").unwrap();
-        assert!(is_one_file(&at("x"), &at("link")));
     }
 }

@@ -93,6 +93,9 @@ pub(super) fn move_entry(from: &Path, to: &Path) -> Result<(), FileError> {
     }
     match std::fs::rename(from, to) {
         Err(error) if error.kind() == ErrorKind::CrossesDevices && about.is_file() => {
+            if to.is_symlink() {
+                remove(to).map_err(FileError::io("replace", to))?; // it would be followed
+            }
             super::whole::write_whole(to, |out| {
                 let copied = std::fs::File::open(from).and_then(|mut file| std::io::copy(&mut file, out));
                 copied.map(drop).map_err(FileError::io("write", to))

@@ -3,24 +3,23 @@
 //! # How it works
 //! A unit is written in a work folder of its own (`OUT/.unfinished/UNIT`), which has its lock. It is published by moving
 //! its files to their names and writing its record, which lists them, last. A file may be replaced only if the unit's
-//! earlier record lists it, or if it has the same bytes, so that a record that was lost is written again. Before the files
-//! are moved, the work folder lists them as well. After a killed process, the next owner removes those that it had moved.
+//! earlier record lists it. One with the same bytes stays, so that a record that was lost is written again. The work folder
+//! lists the files of the earlier record, and each new one just before it is moved. After a killed process, the next owner
+//! removes these.
 
 use std::collections::BTreeSet;
+use std::fs::File;
 use std::io::{BufReader, Read, Write};
 use std::path::{Path, PathBuf};
 
-use super::input::{is_there, open_regular, read_text};
+use super::input::{is_taken, is_there, open_regular, read_text};
 use super::manifest::{check_way, is_below, refusal};
 use super::pending::{finish_undisturbed, remove};
 use super::place::move_entry;
-use super::whole::write_whole;
 use super::work::WorkFolder;
 use crate::error::FileError;
 
-/// Folder of the work folders.
-const WORK: &str = ".unfinished";
-/// List of the files that are being moved, in a work folder.
+/// List of the unit's files that may have their names, in a work folder.
 const MOVING: &str = "moving";
 /// Folder of the unit's files, in a work folder.
 const NEW: &str = "new";
@@ -38,6 +37,18 @@ pub struct SharedFolder {
 }
 
 impl SharedFolder {
+    /// File with the options of all units.
+    pub const OPTIONS: &str = "export.json";
+    /// Folder of the records of complete units.
+    pub const RECORDS: &str = "shards";
+    /// Folder of the work folders.
+    pub(super) const WORK: &str = ".unfinished";
+
+    /// Returns whether a folder is one in which units were published.
+    pub(super) fn is_at(folder: &Path) -> bool {
+        [Self::OPTIONS, Self::RECORDS].iter().all(|name| folder.join(name).exists())
+    }
+
     /// Locks the unit `name` of the folder `out`. `record` is the path of its record there. `owned` returns the files that
     /// an earlier record lists; it is called when the unit is locked.
     ///
@@ -50,17 +61,18 @@ impl SharedFolder {
         record: &Path,
         owned: impl FnOnce() -> Result<BTreeSet<PathBuf>, FileError>,
     ) -> Result<Self, FileError> {
-        let place = Path::new(WORK).join(name);
+        let place = Path::new(Self::WORK).join(name);
         for path in [&place, record] {
             check_way(out, path)?;
         }
         let work = WorkFolder::open(out.join(place), &out.join(record))?;
         let owned = owned()?;
         let mut unit = Self { out: out.to_owned(), work, record: record.to_owned(), owned };
-        let moved: BTreeSet<PathBuf> = unit.moved()?.difference(&unit.owned).cloned().collect();
+        let moved: BTreeSet<PathBuf> =
+            MovedFiles::read(unit.work.path())?.difference(&unit.owned).cloned().collect();
         unit.remove_files(&moved)?;
         unit.work.clear(|_| false)?;
-        unit.owned.retain(|path| path.is_relative());
+        unit.owned.retain(|path| is_below(path));
         Ok(unit)
     }
 
@@ -68,7 +80,8 @@ impl SharedFolder {
     /// file may be replaced depends on its bytes, if the earlier record does not list it.
     ///
     /// # Errors
-    /// Fails if a folder or a link has its name, or if a link leads out of the folder.
+    /// Fails if a folder has its name, or a link that the earlier record does not list, or if a link on the way leads out of
+    /// the folder.
     pub fn check(&self, name: &Path) -> Result<(), FileError> {
         check_way(&self.out, name)?;
         let path = self.out.join(name);
@@ -119,21 +132,30 @@ impl SharedFolder {
         if record.is_symlink() || record.is_dir() {
             return Err(refusal(&record));
         }
-        self.write_moved(files)?;
+        let mut moved = MovedFiles::create(self.work.path())?;
+        moved.add(&self.owned)?;
         finish_undisturbed(|| {
             remove(&record).map_err(FileError::io("replace", &record))?;
             self.remove_files(&self.owned.difference(files).cloned().collect())?;
-            let published = self.move_files(files).and_then(|()| write_record(&record));
+            let published = self.move_files(files, &mut moved).and_then(|()| write_record(&record));
             if published.is_err() {
-                let _ = self.remove_files(files); // the first error is the one to report
+                let _ = self.remove_files(&moved.names); // the first error is the one to report
             }
             published
         })
     }
 
-    fn move_files(&self, files: &BTreeSet<PathBuf>) -> Result<(), FileError> {
+    /// Moves files to their names, and lists each before.
+    fn move_files(&self, files: &BTreeSet<PathBuf>, moved: &mut MovedFiles) -> Result<(), FileError> {
         for name in files {
             let path = self.out.join(name);
+            if !self.owned.contains(name) {
+                if is_taken(&path) {
+                    self.check_written(name)?; // foreign, of the same bytes
+                    continue;
+                }
+                moved.add([name])?;
+            }
             move_entry(&self.work.path().join(NEW).join(name), &path)?;
         }
         create_parent(&self.out.join(&self.record))
@@ -155,30 +177,48 @@ impl SharedFolder {
         Ok(())
     }
 
-    /// Writes the list of the files to be moved.
-    fn write_moved(&self, files: &BTreeSet<PathBuf>) -> Result<(), FileError> {
-        let path = self.work.path().join(MOVING);
-        let text: String = files.iter().map(|name| format!("{}\n", name.display())).collect();
-        write_whole(&path, |out| out.write_all(text.as_bytes()).map_err(FileError::io("write", &path)))
-    }
-
-    /// Reads the list that a killed process left.
-    fn moved(&self) -> Result<BTreeSet<PathBuf>, FileError> {
-        let path = self.work.path().join(MOVING);
-        if !is_there(&path)? {
-            return Ok(BTreeSet::new());
-        }
-        Ok(read_text(&path)?.lines().map(PathBuf::from).filter(|path| is_below(path)).collect())
-    }
-
     /// Returns whether there is a work folder of a unit.
     pub fn has_leftovers(out: &Path, name: &str) -> bool {
-        out.join(WORK).join(name).exists()
+        out.join(Self::WORK).join(name).exists()
     }
 
     /// Removes the folder of the work folders if it is empty.
     pub fn remove_work(out: &Path) {
-        let _ = std::fs::remove_dir(out.join(WORK)); // another process may use it
+        let _ = std::fs::remove_dir(out.join(Self::WORK)); // another process may use it
+    }
+}
+
+/// List of the files that are the unit's while it has no record, also in its work folder.
+struct MovedFiles {
+    names: BTreeSet<PathBuf>,
+    file: File,
+    path: PathBuf,
+}
+
+impl MovedFiles {
+    fn create(work: &Path) -> Result<Self, FileError> {
+        let path = work.join(MOVING);
+        let file = File::create(&path).map_err(FileError::io("create", &path))?;
+        Ok(Self { names: BTreeSet::new(), file, path })
+    }
+
+    fn add<'a>(&mut self, names: impl IntoIterator<Item = &'a PathBuf>) -> Result<(), FileError> {
+        let names: Vec<&PathBuf> = names.into_iter().collect();
+        let text: String = names.iter().map(|name| format!("{}\n", name.display())).collect();
+        self.file.write_all(text.as_bytes()).map_err(FileError::io("write", &self.path))?;
+        self.names.extend(names.into_iter().cloned());
+        Ok(())
+    }
+
+    /// Reads the names that a killed process left, without a last one that it did not write whole.
+    fn read(work: &Path) -> Result<BTreeSet<PathBuf>, FileError> {
+        let path = work.join(MOVING);
+        if !is_there(&path)? {
+            return Ok(BTreeSet::new());
+        }
+        let text = read_text(&path)?;
+        let (lines, _) = text.rsplit_once('\n').unwrap_or_default();
+        Ok(lines.lines().map(PathBuf::from).filter(|path| is_below(path)).collect())
     }
 }
 
@@ -269,26 +309,52 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let out = folder.path();
         let mut unit = begin(out, &[]).unwrap();
-        write(&unit, &["a/1", "a/2"], "half").unwrap();
-        unit.write_moved(&paths(&["a/1", "a/2"])).unwrap();
-        unit.move_files(&paths(&["a/1"])).unwrap();
+        write(&unit, &["a/1", "a/2", "a/3"], "half").unwrap();
+        std::fs::create_dir(out.join("a")).unwrap();
+        std::fs::write(out.join("a/3"), "half").unwrap();
+        let mut moved = MovedFiles::create(unit.work.path()).unwrap();
+        unit.move_files(&paths(&["a/1", "a/3"]), &mut moved).unwrap();
+        moved.file.write_all(b"a/mine").unwrap(); // a name that was cut
         unit.work.keep(true); // as after SIGKILL
         drop(unit);
-        std::fs::write(out.join("a/mine"), "").unwrap();
+        for name in ["a/2", "a/mine"] {
+            std::fs::write(out.join(name), "").unwrap();
+        }
         drop(begin(out, &[]).unwrap());
         SharedFolder::remove_work(out);
-        assert_eq!(listed(out), ["a/mine", "records"]);
+        assert_eq!(listed(out), ["a/2", "a/3", "a/mine", "records"]);
     }
 
     #[test]
-    fn a_failed_publication_leaves_nothing() {
+    fn files_of_a_record_that_a_killed_process_removed_are_removed() {
+        let folder = tempfile::tempdir().unwrap();
+        let out = folder.path();
+        for name in ["b/1", "b/2"] {
+            std::fs::create_dir_all(out.join("b")).unwrap();
+            std::fs::write(out.join(name), "old").unwrap();
+        }
+        let mut unit = begin(out, &["b/1", "b/2"]).unwrap();
+        write(&unit, &["b/1"], "new").unwrap();
+        let mut moved = MovedFiles::create(unit.work.path()).unwrap();
+        moved.add(&unit.owned).unwrap();
+        unit.move_files(&paths(&["b/1"]), &mut moved).unwrap();
+        unit.work.keep(true); // as after SIGKILL
+        drop(unit);
+        drop(begin(out, &[]).unwrap());
+        SharedFolder::remove_work(out);
+        assert_eq!(listed(out), ["records"]);
+    }
+
+    #[test]
+    fn a_failed_publication_leaves_nothing_of_its_own() {
         let folder = tempfile::tempdir().unwrap();
         let unit = begin(folder.path(), &[]).unwrap();
-        write(&unit, &["a/1"], "1").unwrap();
+        write(&unit, &["a/1", "b"], "1").unwrap();
+        std::fs::write(folder.path().join("b"), "1").unwrap(); // foreign, of the same bytes
         let full = |path: &Path| Err(FileError::io("write", path)(std::io::ErrorKind::StorageFull.into()));
-        assert!(unit.publish(&paths(&["a/1"]), full).is_err());
+        assert!(unit.publish(&paths(&["a/1", "b"]), full).is_err());
         SharedFolder::remove_work(folder.path());
-        assert_eq!(listed(folder.path()), ["records"]);
+        assert_eq!(listed(folder.path()), ["b", "records"]);
     }
 
     #[test]

@@ -9,6 +9,7 @@
 mod augment;
 mod checksum;
 mod colorize;
+mod entry;
 mod export;
 mod from_points;
 mod ingest;

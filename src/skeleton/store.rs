@@ -7,6 +7,7 @@ use std::sync::OnceLock;
 
 use rayon::prelude::*;
 
+use super::entry::Entry;
 use super::manifest::{Asset, BuildReport, Chunk, Manifest, Source, Template};
 use super::{BuildOptions, Checksum};
 use crate::cloud::Point;
@@ -14,12 +15,11 @@ use crate::dataset::{Recording, is_fingerprint};
 use crate::error::FileError;
 use crate::files::input::{is_taken, read_table};
 use crate::files::{
-    Inputs, WholeFolder, WorkFolder, check_whole, inputs_of_whole, json, write_json, write_whole_by,
+    Inputs, SKELETON as KIND, WholeFolder, WorkFolder, check_whole, inputs_of_whole, json, write_json,
+    write_whole_by,
 };
 use crate::gpu::MappedFile;
 
-/// Kind of the output folder.
-const KIND: &str = "skeleton";
 const MANIFEST: &str = "skeleton.json";
 const BACKGROUND: &str = "background.points";
 const ACTORS: &str = "actors.points";
@@ -335,65 +335,6 @@ impl MappedPoints {
 
     fn slices(&self, entries: &[impl Entry]) -> Vec<&[Point]> {
         slices(&self.map, entries.iter().map(Entry::points))
-    }
-}
-
-/// Manifest entry of a cloud in a file of points.
-pub(in crate::skeleton) trait Entry: Sync {
-    /// Returns the number of points.
-    fn points(&self) -> usize;
-
-    /// Returns the checksum of the points.
-    fn checksum(&self) -> Checksum;
-
-    /// Returns the cloud's name for messages; `index` is its position in the manifest's list.
-    fn name(&self, index: usize) -> String;
-
-    /// Validates points read from `path` against the checksum.
-    fn check(&self, index: usize, points: &[Point], path: &Path) -> Result<(), FileError> {
-        self.checksum().check(points, || self.name(index), path)
-    }
-}
-
-impl Entry for Chunk {
-    fn points(&self) -> usize {
-        self.points
-    }
-
-    fn checksum(&self) -> Checksum {
-        self.xxh3
-    }
-
-    fn name(&self, index: usize) -> String {
-        format!("chunk {index}")
-    }
-}
-
-impl Entry for Asset {
-    fn points(&self) -> usize {
-        self.points
-    }
-
-    fn checksum(&self) -> Checksum {
-        self.xxh3
-    }
-
-    fn name(&self, _: usize) -> String {
-        format!("track {:?} of log {:?}", self.track, self.log)
-    }
-}
-
-impl Entry for Template {
-    fn points(&self) -> usize {
-        self.points
-    }
-
-    fn checksum(&self) -> Checksum {
-        self.xxh3
-    }
-
-    fn name(&self, _: usize) -> String {
-        format!("template {}", self.kind.name())
     }
 }
 

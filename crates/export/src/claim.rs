@@ -6,30 +6,35 @@ use std::time::Duration;
 
 use point_skeleton::error::FileError;
 use point_skeleton::files::input::is_taken;
-use point_skeleton::files::{json, write_json};
+use point_skeleton::files::{Inputs, SharedFolder, check_place, json, write_json};
 use serde_json::{Value, json};
 
 use crate::ExportOptions;
 
 /// File with the options of an export, in its folder.
-const OPTIONS: &str = "export.json";
+const OPTIONS: &str = SharedFolder::OPTIONS;
 /// Pause between attempts to write the options while another process does.
 const PAUSE: Duration = Duration::from_millis(200);
 
-/// Writes the options into the folder, or compares them with those there. Waits for another process that writes them.
+/// Writes the options into the folder, or compares them with those there. Waits for another process that writes them. `read`
+/// is everything that the export reads.
 ///
 /// # Errors
-/// Fails if the folder has an export with other options or foreign files, or if it cannot be written.
-pub(crate) fn claim(out: &Path, options: &ExportOptions) -> Result<(), FileError> {
+/// Fails if the folder is a part of what is read, if it has an export with other options or foreign files, or if it cannot be
+/// written.
+pub(crate) fn claim(out: &Path, options: &ExportOptions, read: &Inputs) -> Result<(), FileError> {
+    check_place(out, read)?;
     let path = out.join(OPTIONS);
     let content = content(options);
     std::fs::create_dir_all(out).map_err(FileError::io("create", out))?;
     loop {
         let foreign = foreign_file(out)?;
         if is_taken(&path) {
-            let same = compare(&content, &json::read(&path, "the options of an export")?, &path);
-            // Options of an export that never began a shard are replaced.
-            if same.is_ok() || foreign.is_some() {
+            let theirs: Value = json::read(&path, "the options of an export")?;
+            let same = compare(&content, &theirs, &path);
+            let is_ours = theirs["options"]["export_layout"].is_string() && !path.is_symlink();
+            // Options of an export that never began a shard are replaced, other documents of that name are not.
+            if same.is_ok() || foreign.is_some() || !is_ours {
                 return same;
             }
         }
@@ -44,7 +49,7 @@ pub(crate) fn claim(out: &Path, options: &ExportOptions) -> Result<(), FileError
     }
 }
 
-/// Checks that the folder, in which a shard has begun, still has these options.
+/// Checks that the folder, in which a shard has begun, has these options.
 ///
 /// # Errors
 /// Fails if another process, which found no shard, has replaced them.

@@ -10,6 +10,7 @@
 mod claim;
 mod error;
 mod files;
+mod index;
 mod layout;
 mod options;
 mod report;
@@ -19,7 +20,8 @@ mod shard;
 mod work;
 
 pub use error::ExportError;
+pub use index::{Completeness, write_index};
 pub use options::{ExportOptions, Layout, SampleFormat, SampleTimes};
 pub use report::{ExportReport, Failure};
-pub use run::{Completeness, Export, ExportProgress, OpenLog, export, write_index};
+pub use run::{Export, ExportProgress, OpenLog, export};
 pub use work::{ListedLog, Part, WorkList, WorkUnit};

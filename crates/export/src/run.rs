@@ -8,29 +8,21 @@ use std::time::Duration;
 use point_skeleton::conditions::ConditionOptions;
 use point_skeleton::dataset::{Dataset, DatasetError, LogLocator, VectorMap};
 use point_skeleton::error::{FileError, with_causes};
-use point_skeleton::files::{FileKind, SharedFolder, write_json};
+use point_skeleton::files::{Inputs, is_one_file};
 use point_skeleton::raster::{FRAMES_IN_FLIGHT, RasterizerDesc};
 use point_skeleton::scene::SceneMap;
 use point_skeleton::skeleton::{self, BuildError, Skeleton};
 use point_skeleton::threads::{probe, spawn_scoped};
 use point_skeleton::{Maps, RenderOptions, Renderer};
-use serde_json::json;
 
-use crate::claim::{self, claim};
+use crate::claim::claim;
+use crate::index::{Completeness, write_index};
 use crate::layout::{self, Source};
 use crate::report::{ExportReport, Failure};
 use crate::samples::{Sample, Sampler};
 use crate::shard::{Shard, ShardInput, ShardRecord};
-use crate::{ExportError, ExportOptions, Layout, ListedLog, WorkList, WorkUnit};
+use crate::{ExportError, ExportOptions, ListedLog, WorkList, WorkUnit};
 
-/// Index of a complete export.
-const INDEX: &str = "index.json";
-/// Kind of the index.
-const INDEX_KIND: FileKind = FileKind {
-    name: "the index of an export",
-    begin: b"{\n  \"__kind__\": \"wids-shard-index-v1\"",
-    marks: &[b"shardlist"],
-};
 /// Pause between attempts to open a skeleton that another process builds.
 const PAUSE: Duration = Duration::from_millis(200);
 
@@ -84,13 +76,15 @@ pub struct Export<'a> {
 /// others are written all the same. If all shards of the list exist then, writes `index.json`.
 ///
 /// # Errors
-/// Fails if the folder cannot be written, or if it has an export with other options or foreign files.
+/// Fails if the folder cannot be written, if it has an export with other options or foreign files, or if it is that of the
+/// skeletons, in a skeleton or a part of a log.
 pub fn export(run: Export<'_>) -> Result<ExportReport, ExportError> {
-    if run.out == run.skeletons {
+    if is_one_file(run.out, run.skeletons) {
         let expected = "a folder of skeletons apart from that of the export";
         return Err(FileError::content(expected, "the same", run.out).into());
     }
-    claim(run.out, run.options)?;
+    let read = Inputs::new(run.part.logs.iter().flat_map(|log| log.locator.inputs()));
+    claim(run.out, run.options, &read)?;
     std::fs::create_dir_all(run.skeletons).map_err(FileError::io("create", run.skeletons))?;
     let jobs = run.jobs.min(run.part.logs.len());
     // Each job has a thread that writes.
@@ -127,52 +121,6 @@ pub fn export(run: Export<'_>) -> Result<ExportReport, ExportError> {
         total.complete = write_index(list, run.out, run.options.layout, Completeness::Files)?;
     }
     Ok(total)
-}
-
-/// What makes a shard exist.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Completeness {
-    /// Its record, and its files with their lengths.
-    Files,
-    /// Its record, where the files are somewhere else.
-    Record,
-}
-
-/// Writes `index.json` if all shards of a list exist, and returns whether they do.
-///
-/// # Errors
-/// Fails if the file cannot be written.
-pub fn write_index(
-    list: &WorkList,
-    out: &Path,
-    layout: Layout,
-    completeness: Completeness,
-) -> Result<bool, FileError> {
-    let mut entries = Vec::new();
-    let mut samples = 0;
-    for unit in list.logs.iter().flat_map(|log| &log.units) {
-        let record = match completeness {
-            Completeness::Files => ShardRecord::read(out, unit, None, false)?,
-            Completeness::Record => ShardRecord::parse(out, unit)?,
-        };
-        let Some(record) = record else { return Ok(false) };
-        samples += record.samples;
-        entries.push(layout::index_entry(layout, &record));
-    }
-    let index = json!({
-        "__kind__": "wids-shard-index-v1", "wids_version": 1, "layout": layout,
-        "nsamples": samples, "shardlist": entries,
-    });
-    let path = out.join(INDEX);
-    INDEX_KIND.check(&path)?;
-    match write_json(&path, &index) {
-        // Another process writes the same bytes.
-        Ok(()) | Err(FileError::Busy { .. }) => {
-            SharedFolder::remove_work(out); // before, other processes may still begin shards
-            Ok(true)
-        }
-        Err(error) => Err(error),
-    }
 }
 
 /// Exports the units of a log.
@@ -269,9 +217,7 @@ fn export_units(run: &Export<'_>, log: &ListedLog, report: &mut ExportReport) ->
 
 /// Begins a shard of an export with the run's options.
 fn begin(run: &Export<'_>, unit: &WorkUnit) -> Result<Shard, ExportError> {
-    let shard = Shard::begin(run.out, unit)?;
-    claim::check(run.out, run.options)?;
-    Ok(shard)
+    Ok(Shard::begin(run.out, unit)?.with_options(run.options)?)
 }
 
 /// Adds the result of a shard to the report.

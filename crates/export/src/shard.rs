@@ -13,10 +13,10 @@ use point_skeleton::files::{SharedFolder, is_below, json, write_json};
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
-use crate::WorkUnit;
+use crate::{ExportOptions, WorkUnit, claim};
 
 /// Folder of the records of complete shards.
-pub(crate) const RECORDS: &str = "shards";
+const RECORDS: &str = SharedFolder::RECORDS;
 const BUFFER: usize = 1 << 20;
 
 /// A file of a shard.
@@ -148,6 +148,8 @@ pub(crate) struct Shard {
     folder: SharedFolder,
     out: PathBuf,
     unit: WorkUnit,
+    /// Options of the export; `None` if nothing is to be published.
+    options: Option<ExportOptions>,
     files: Vec<ShardFile>,
     notes: BTreeMap<String, usize>,
 }
@@ -167,9 +169,20 @@ impl Shard {
             folder,
             out: out.to_owned(),
             unit: unit.clone(),
+            options: None,
             files: Vec::new(),
             notes: BTreeMap::new(),
         })
+    }
+
+    /// Binds the shard to the options of its export. They are compared now and again when the shard is published: another
+    /// process that found no shard may replace them meanwhile.
+    ///
+    /// # Errors
+    /// Fails if the export has other options.
+    pub(crate) fn with_options(self, options: &ExportOptions) -> Result<Self, FileError> {
+        claim::check(&self.out, options)?;
+        Ok(Self { options: Some(options.clone()), ..self })
     }
 
     /// Removes what a process left that was killed after it had written the record.
@@ -243,8 +256,9 @@ impl Shard {
     /// Moves all files into the export, then writes the record.
     ///
     /// # Errors
-    /// Fails if a file cannot be moved or written.
+    /// Fails if the export has other options by now, or if a file cannot be moved or written.
     pub(crate) fn publish(mut self, mut record: ShardRecord) -> Result<ShardRecord, FileError> {
+        self.options.as_ref().map_or(Ok(()), |options| claim::check(&self.out, options))?;
         record.notes.append(&mut self.notes);
         self.files.sort_by(|a, b| a.path.cmp(&b.path));
         let paths = self.files.iter().map(|file| file.path.clone()).collect();
@@ -294,102 +308,4 @@ fn hexadecimal(bytes: &[u8]) -> String {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    fn unit() -> WorkUnit {
-        WorkUnit { name: "a-000000".into(), frames: 0..2 }
-    }
-
-    fn input() -> ShardInput {
-        ShardInput { log: "1".into(), skeleton: Some("2".into()), map: None, templates: None }
-    }
-
-    fn record() -> ShardRecord {
-        let (notes, files) = Default::default();
-        let input = input();
-        ShardRecord { name: unit().name, log: "a".into(), input, frames: [0, 2], samples: 2, notes, files }
-    }
-
-    #[test]
-    fn a_shard_appears_whole_and_is_found_again() {
-        let folder = tempfile::tempdir().unwrap();
-        let out = folder.path();
-        let find = |verify| ShardRecord::read(out, &unit(), Some(&input()), verify).unwrap();
-        let mut shard = Shard::begin(out, &unit()).unwrap();
-        shard.put("images/1.png", b"abc").unwrap();
-        assert!(matches!(Shard::begin(out, &unit()), Err(FileError::Busy { .. })));
-        assert!(!out.join("images").exists() && find(false).is_none());
-        let written = shard.publish(record()).unwrap();
-        // SHA-256 of "abc", from FIPS 180-2.
-        let sha256 = "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad";
-        assert_eq!(written.files[0].sha256, sha256);
-        assert_eq!(
-            (find(true), std::fs::read(out.join("images/1.png")).unwrap()),
-            (Some(written), b"abc".into())
-        );
-        SharedFolder::remove_work(out);
-        assert_eq!(std::fs::read_dir(out).unwrap().count(), 2);
-        // Damage: of the same length, then of another one.
-        std::fs::write(out.join("images/1.png"), "abd").unwrap();
-        assert!(find(false).is_some() && find(true).is_none());
-        std::fs::write(out.join("images/1.png"), "ab").unwrap();
-        assert!(find(false).is_none());
-        std::fs::write(out.join("images/1.png"), "abc").unwrap();
-        let longer = WorkUnit { frames: 0..3, ..unit() };
-        let message = ShardRecord::read(out, &longer, None, false).unwrap_err().to_string();
-        assert!(message.contains("of frames 0..3, found shard a-000000 of frames 0..2"), "{message}");
-    }
-
-    #[test]
-    fn shards_of_another_input_are_not_taken() {
-        let folder = tempfile::tempdir().unwrap();
-        let mut shard = Shard::begin(folder.path(), &unit()).unwrap();
-        shard.put("1.png", b"abc").unwrap();
-        shard.publish(record()).unwrap();
-        let read =
-            |input: &ShardInput, verify| ShardRecord::read(folder.path(), &unit(), Some(input), verify);
-        for (other, what) in [
-            (ShardInput { log: "3".into(), ..input() }, "recording"),
-            (ShardInput { skeleton: Some("3".into()), ..input() }, "skeleton"),
-            (ShardInput { map: Some("3".into()), ..input() }, "HD map"),
-            (ShardInput { templates: Some("3".into()), ..input() }, "template library"),
-        ] {
-            let message = read(&other, false).unwrap_err().to_string();
-            let part = format!("a shard of this {what}, found one of another {what}");
-            assert!(message.contains(&part), "{message}");
-            assert!(read(&other, true).unwrap().is_none(), "written again");
-        }
-        assert!(read(&ShardInput { skeleton: None, ..input() }, false).unwrap().is_some());
-    }
-
-    #[test]
-    fn records_without_files_or_of_others_are_not_complete() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("shards/a-000000.json");
-        std::fs::create_dir(folder.path().join("shards")).unwrap();
-        let read = || ShardRecord::read(folder.path(), &unit(), Some(&input()), false);
-        write_json(&path, &record()).unwrap();
-        assert!(read().unwrap().is_none());
-        let file = ShardFile { path: "../x".into(), bytes: 0, sha256: String::new() };
-        write_json(&path, &ShardRecord { files: vec![file], ..record() }).unwrap();
-        assert!(read().unwrap_err().to_string().contains("expected paths below the export"));
-        std::fs::write(&path, "{}").unwrap();
-        assert!(read().unwrap_err().to_string().starts_with("expected the record of a shard"));
-        std::fs::write(&path, "").unwrap();
-        assert!(read().unwrap().is_none());
-        std::fs::remove_file(&path).unwrap();
-        assert!(std::process::Command::new("mkfifo").arg(&path).status().unwrap().success());
-        assert!(read().unwrap_err().to_string().contains("found a FIFO"));
-    }
-
-    #[test]
-    fn an_unfinished_shard_leaves_nothing() {
-        let folder = tempfile::tempdir().unwrap();
-        let mut shard = Shard::begin(folder.path(), &unit()).unwrap();
-        shard.put("a/b.json", b"{}").unwrap();
-        drop(shard);
-        SharedFolder::remove_work(folder.path());
-        assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
-    }
-}
+mod tests;

@@ -10,9 +10,7 @@ use image::codecs::jpeg::JpegEncoder;
 use image::imageops::{self, FilterType};
 use point_skeleton::dataset::{ImageRecord, Recording};
 use point_skeleton::error::FileError;
-use point_skeleton::files::{
-    FileName, Inputs, LISTED_FILES, WholeFolder, check_whole, is_below, write_whole,
-};
+use point_skeleton::files::{FileName, Inputs, LISTED_FILES, WholeFolder, is_below, is_inside, write_whole};
 use pskel_sim::report::{self, ROLLOUT, STATES, STEPS, StateFile};
 
 /// JPEG quality: high, so that visible artifacts are the generator's.
@@ -67,7 +65,7 @@ impl<'a> DatasetCopy<'a> {
         rollout.map_or(Ok(()), |rollout| check_apart(folder, rollout))?;
         let inputs = Inputs::new([root]);
         // The copy would contain its own work folder.
-        check_whole(folder, KIND, &inputs).and_then(|()| inputs.check_outside(folder))?;
+        inputs.check_outside(folder)?;
         Ok(Self { root, target: WholeFolder::open(folder, KIND, &inputs)? })
     }
 
@@ -104,15 +102,7 @@ impl<'a> DatasetCopy<'a> {
 
 /// Checks that neither the folder of a copy nor that of a rollout is in the other. They need not exist.
 fn check_apart(folder: &Path, rollout: &Path) -> Result<(), FileError> {
-    let resolved = |path: &Path| -> std::io::Result<PathBuf> {
-        let path = std::path::absolute(path)?;
-        let there = path.ancestors().find_map(|above| Some((above, above.canonicalize().ok()?)));
-        let rest = |(above, real): (&Path, PathBuf)| Some(real.join(path.strip_prefix(above).ok()?));
-        Ok(there.and_then(rest).unwrap_or(path))
-    };
-    let [copy, other] = [folder, rollout].map(|path| resolved(path).map_err(FileError::io("read", path)));
-    let (copy, other) = (copy?, other?);
-    let found = match (copy.starts_with(&other), other.starts_with(&copy)) {
+    let found = match (is_inside(folder, rollout), is_inside(rollout, folder)) {
         (false, false) => return Ok(()),
         (true, true) => "the same",
         (true, false) => "one in it",

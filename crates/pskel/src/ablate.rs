@@ -6,6 +6,7 @@ use std::time::Instant;
 use anyhow::Context;
 use clap::Args;
 use point_skeleton::dataset::LogLocator;
+use point_skeleton::files::{Inputs, check_place};
 use pskel_eval::ablate::{AblateError, AblateOptions, Ablation, Networks, RunResult, Table};
 use pskel_network::Network;
 
@@ -82,6 +83,8 @@ pub(super) fn run(args: &AblateArgs) -> anyhow::Result<()> {
     log_args::check_once(&args.logs)?;
     args.check_tables()?;
     let rasterizer = args.rasterizer.desc()?;
+    let read = args.inputs();
+    check_place(&args.out, &read)?; // before a log is read for the networks
     let cameras = args.cameras()?;
     let open = |path: &PathBuf| Network::open(path, cameras);
     let networks = Networks {
@@ -97,7 +100,8 @@ pub(super) fn run(args: &AblateArgs) -> anyhow::Result<()> {
         history_noise: args.history_noise,
         ahead: args.ahead,
     };
-    let mut study = Ablation::open(&args.out, networks, &args.tables, options).map_err(usage)?;
+    let opened = Ablation::open((&args.out, &read), networks, &args.tables, options);
+    let mut study = opened.map_err(usage)?;
     let variants = study.variants();
     let mut progress = Progress::new(args.logs.len() * variants);
     let mut on_result = |result: &RunResult| progress.step(&format!("{}, {}", result.scene, result.row));
@@ -115,6 +119,12 @@ pub(super) fn run(args: &AblateArgs) -> anyhow::Result<()> {
 }
 
 impl AblateArgs {
+    /// Returns everything that is read.
+    fn inputs(&self) -> Inputs {
+        let weights = self.weights.iter().chain(&self.plain_weights).chain(&self.other_seeds);
+        self.roots.inputs(&self.logs).and(weights)
+    }
+
     /// Returns the number of cameras of the first log, which all logs must have.
     fn cameras(&self) -> anyhow::Result<usize> {
         let Some(first) = self.logs.first() else { return Ok(0) };

@@ -4,7 +4,7 @@ use std::time::Instant;
 use clap::Args;
 use point_skeleton::cloud::{self, PointFormat};
 use point_skeleton::error::FileError;
-use point_skeleton::files::{Inputs, OutputFile};
+use point_skeleton::files::Inputs;
 use point_skeleton::skeleton::Skeleton;
 
 use super::{WrongUsage, choices, log_args, say, tell_notes};
@@ -60,10 +60,10 @@ fn convert_file(args: &ConvertArgs) -> anyhow::Result<String> {
         }
         (format, ending) => format.or(ending).unwrap_or(PointFormat::Npy),
     };
-    let out = OutputFile::open(&args.out, format.kind(), &Inputs::new([&args.input]))?;
+    let out = format.open_files(&args.out, &Inputs::new([&args.input]))?;
     let file = cloud::read(&args.input)?;
     tell_notes(&args.input, &file.notes);
-    let origin = match format.write_file(out.path(), &file)? {
+    let origin = match format.write_files(&out, &file)? {
         Some(path) => format!(", relative to the origin in {}", path.display()),
         None => String::new(),
     };

@@ -74,7 +74,7 @@ pub(super) fn run(args: &EvaluateArgs) -> anyhow::Result<()> {
         _ => anyhow::Error::new(error),
     })?;
     drop(progress);
-    // First of all: the file may fail, and the scores took long.
+    // Printed before the file is written, which may fail: the scores took long.
     say(report.table().trim_end());
     for note in report.notes() {
         tell(&format!("note: {note}"));

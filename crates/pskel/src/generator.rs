@@ -150,9 +150,8 @@ impl GeneratorArgs {
 
     /// Reads the captions of a log.
     pub(super) fn captions(&self, log: &Recording) -> Result<Option<FrameCaptions>, FileError> {
-        let Some(path) = &self.captions else { return Ok(None) };
-        let captions = Captions::read(path)?.of_frames(log);
-        captions.map(Some).ok_or_else(|| {
+        let (Some(path), Some(captions)) = (&self.captions, self.all_captions()?) else { return Ok(None) };
+        captions.of_frames(log).map(Some).ok_or_else(|| {
             let expected = format!("captions of log {} or of its images", printable(&log.name));
             FileError::content(expected, "captions of others", path)
         })
@@ -164,9 +163,9 @@ impl GeneratorArgs {
         self.captions.as_deref().into_iter().chain(recipe)
     }
 
-    /// Returns the file of the captions.
-    pub(super) fn captions_file(&self) -> Option<&Path> {
-        self.captions.as_deref()
+    /// Reads the captions of all logs.
+    pub(super) fn all_captions(&self) -> Result<Option<Captions>, FileError> {
+        self.captions.as_deref().map(Captions::read).transpose()
     }
 
     fn preset(&self) -> Option<Preset> {

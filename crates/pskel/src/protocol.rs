@@ -10,7 +10,7 @@ use std::time::Instant;
 use anyhow::Context;
 use clap::{Args, ValueEnum};
 use point_skeleton::conditions::meta::PromptParts;
-use point_skeleton::conditions::{ConditionOptions, MapFormat};
+use point_skeleton::conditions::{Captions, ConditionOptions, MapFormat};
 use point_skeleton::dataset::{Dataset, LogFormat, LogLocator, LogOpener};
 use point_skeleton::error::{FileError, with_causes};
 use point_skeleton::files::input::is_there;
@@ -111,7 +111,7 @@ struct Settings<'a> {
     #[serde(skip_serializing_if = "Option::is_none")]
     library: Option<String>,
     prompt: PromptParts,
-    captions: Option<&'a Path>,
+    captions: Option<Captions>,
 }
 
 /// Files in the folder itself.
@@ -250,7 +250,7 @@ impl ProtocolArgs {
             substitutes: self.stand_ins.options(),
             library: self.stand_ins.options().fingerprint()?,
             prompt: self.prompt()?,
-            captions: self.generating.captions_file(),
+            captions: self.generating.all_captions()?,
         })?;
         let path = files.claim("protocol.json")?;
         check_settings(&path, &settings)?;

@@ -101,10 +101,12 @@ pub(super) fn run(args: &TrainArgs) -> anyhow::Result<()> {
         augment: !args.no_augment,
         rasterizer: args.rasterizer.desc()?,
     };
-    let recorder = ClipRecorder { folder: &drives, config: &config, options: &record };
+    let read = args.inputs();
+    let recorder = ClipRecorder { folder: &drives, read: &read, config: &config, options: &record };
+    recorder.check()?;
     let files =
         RunOptions { checkpoint_steps: args.checkpoint, resume: args.resume, command: args.command() };
-    let folder = (args.steps > 0).then(|| TrainingFolder::open(&args.out, &args.inputs())).transpose()?;
+    let folder = (args.steps > 0).then(|| TrainingFolder::open(&args.out, &read)).transpose()?;
     if let Some(folder) = &folder {
         folder.check(&config, &options, &files)?;
         args.check_frames(config.frames)?;
@@ -134,8 +136,7 @@ pub(super) fn run(args: &TrainArgs) -> anyhow::Result<()> {
 impl TrainArgs {
     /// Returns everything that is read, except for drives.
     fn inputs(&self) -> Inputs {
-        let logs: Vec<LogLocator> = self.logs.iter().map(|log| self.roots.locate(log)).collect();
-        Inputs::new(logs.iter().flat_map(LogLocator::inputs)).and(&self.config)
+        self.roots.inputs(&self.logs).and(&self.config)
     }
 
     fn check_weights(&self) -> Result<(), WrongUsage> {

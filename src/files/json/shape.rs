@@ -1,22 +1,28 @@
 //! What a JSON document is that should be an array of records.
 
+use std::borrow::Cow;
+
+/// Maximum length of a key in a message, characters.
+const MAX_KEY: usize = 40;
+
 /// Describes an object in place of an array, by its beginning, which may be cut anywhere.
 pub(crate) fn object_instead_of_array(text: &[u8]) -> String {
     let start = skip_blanks(text, 0);
     let end = end_of_value(text, start);
     let is_followed = matches!(text.get(skip_blanks(text, end)), Some(b'{' | b','));
-    let members = if is_followed { Vec::new() } else { members(text, start) };
+    let mut members = members(text, start).take_while(|_| !is_followed).peekable();
+    let first = members.peek().map(|(_, at)| *at);
     let begin = |at: usize| text.get(at).copied();
     let is_array_of = |at: usize, is: fn(u8) -> bool| {
         begin(at) == Some(b'[') && begin(skip_blanks(text, at + 1)).is_some_and(is)
     };
-    let holder = members.iter().find(|(_, at)| is_array_of(*at, |byte| byte == b'{'));
-    let reason = match (holder, members.first()) {
-        (Some((key, _)), _) => format!("its field {key} holds the records? write that array alone"),
-        (None, Some((_, at))) if begin(*at) == Some(b'{') => {
-            "records by a key? write an array of them".to_owned()
+    let holder = members.find(|(_, at)| is_array_of(*at, |byte| byte == b'{'));
+    let reason = match (holder, first) {
+        (Some((key, _)), _) => {
+            format!("its field {} holds the records? write that array alone", shortened(key))
         }
-        (None, Some((_, at))) if is_array_of(*at, |byte| byte != b'{') => {
+        (None, Some(at)) if begin(at) == Some(b'{') => "records by a key? write an array of them".to_owned(),
+        (None, Some(at)) if is_array_of(at, |byte| byte != b'{') => {
             "columns? write an object per record".to_owned()
         }
         _ => "JSON lines? write one array".to_owned(),
@@ -24,23 +30,42 @@ pub(crate) fn object_instead_of_array(text: &[u8]) -> String {
     format!("an object instead of an array ({reason})")
 }
 
-/// Returns the keys of an object, and where their values begin.
-fn members(text: &[u8], object: usize) -> Vec<(String, usize)> {
-    let mut members = Vec::new();
-    let mut at = skip_blanks(text, object + 1);
-    while text.get(at) == Some(&b'"') {
-        let end = super::end_of_string(text, at);
-        let key = text.get(at + 1..end - 1).unwrap_or_default();
-        let colon = skip_blanks(text, end);
-        let value = skip_blanks(text, colon + 1);
-        if text.get(colon) != Some(&b':') || value >= text.len() {
-            break;
-        }
-        members.push((String::from_utf8_lossy(key).into_owned(), value));
-        let comma = skip_blanks(text, end_of_value(text, value));
-        at = if text.get(comma) == Some(&b',') { skip_blanks(text, comma + 1) } else { text.len() };
+/// Returns the beginning of a key.
+fn shortened(key: &[u8]) -> Cow<'_, str> {
+    // A character has at most 4 bytes.
+    let text = String::from_utf8_lossy(&key[..key.len().min(4 * MAX_KEY + 4)]);
+    if text.chars().count() <= MAX_KEY {
+        return text;
     }
-    members
+    let beginning: String = text.chars().take(MAX_KEY).collect();
+    format!("{beginning}..").into()
+}
+
+/// Returns the keys of an object, and where their values begin. A value is read when the next key is asked for.
+fn members(text: &[u8], object: usize) -> impl Iterator<Item = (&[u8], usize)> {
+    let mut value = None;
+    std::iter::from_fn(move || {
+        let before = match value {
+            None => Some(object),
+            Some(value) => {
+                let comma = skip_blanks(text, end_of_value(text, value));
+                (text.get(comma) == Some(&b',')).then_some(comma)
+            }
+        };
+        let start = skip_blanks(text, before? + 1);
+        if text.get(start) != Some(&b'"') {
+            return None;
+        }
+        let end = super::end_of_string(text, start);
+        let key = text.get(start + 1..end - 1).unwrap_or_default();
+        let colon = skip_blanks(text, end);
+        let next = skip_blanks(text, colon + 1);
+        if text.get(colon) != Some(&b':') || next >= text.len() {
+            return None;
+        }
+        value = Some(next);
+        Some((key, next))
+    })
 }
 
 /// Returns the index after the value that begins at an index; the length of the text if it does not end.
@@ -93,6 +118,13 @@ mod tests {
         ] {
             let found = object_instead_of_array(text.as_bytes());
             assert_eq!(found, format!("an object instead of an array ({reason})"), "{text}");
+        }
+        // Keys are shortened.
+        for (key, shown) in
+            [("k".repeat(40), "k".repeat(40)), ("é".repeat(41), format!("{}..", "é".repeat(40)))]
+        {
+            let found = object_instead_of_array(format!("{{\"{key}\": [{{}}]}}").as_bytes());
+            assert!(found.contains(&format!("(its field {shown} holds")), "{found}");
         }
     }
 }

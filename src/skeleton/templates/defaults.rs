@@ -25,7 +25,7 @@ pub fn default_templates() -> Vec<TemplateCloud> {
 mod tests {
     use super::*;
     use crate::skeleton::TemplateKind as Kind;
-    use crate::skeleton::store::Entry;
+    use crate::skeleton::entry::Entry;
 
     #[test]
     fn the_built_in_files_are_a_library_of_five_kinds() {

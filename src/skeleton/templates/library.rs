@@ -9,13 +9,12 @@ use super::{TemplateCloud, TemplateOptions, TemplateReport};
 use crate::cloud::Point;
 use crate::error::FileError;
 use crate::files::input::is_taken;
-use crate::files::{Inputs, WholeFolder, write_json, write_whole};
+use crate::files::{Inputs, TEMPLATES as KIND, WholeFolder, write_json, write_whole};
 use crate::gpu::MappedFile;
-use crate::skeleton::store::{Entry, read_manifest};
+use crate::skeleton::entry::Entry;
+use crate::skeleton::store::read_manifest;
 use crate::skeleton::{Checksum, Source, Template};
 
-/// Kind of the output folder.
-const KIND: &str = "templates";
 const MANIFEST: &str = "templates.json";
 const POINTS: &str = "templates.points";
 

@@ -24,13 +24,14 @@ pub struct Ablation {
 }
 
 impl Ablation {
-    /// Opens the folder of a study of some tables, or of all tables if none are given. Results in it are reused.
+    /// Opens the folder of a study of some tables, or of all tables if none are given. Results in it are reused. `read` is
+    /// everything that the command reads.
     ///
     /// # Errors
-    /// Fails if the networks are not comparable, if the options are inconsistent, or if the folder is in use or has
-    /// other files.
+    /// Fails if the networks are not comparable, if the options are inconsistent, or if the folder is in use, has other
+    /// files, or is a part of what is read.
     pub fn open(
-        path: &Path,
+        (path, read): (&Path, &Inputs),
         networks: Networks,
         tables: &[Table],
         mut options: AblateOptions,
@@ -39,7 +40,7 @@ impl Ablation {
         options.infer_steps.get_or_insert(networks.main.config().frames);
         let rows = rows(&networks, tables, &options);
         rows.iter().try_for_each(|row| row.options(&networks, &options).check())?;
-        let files = OutputFolder::open(path, "ablation", &Inputs::default())?;
+        let files = OutputFolder::open(path, "ablation", read)?;
         files.check(Report::files(tables))?;
         let tables = tables.to_vec();
         Ok(Self { files, networks, options, tables, rows, results: Vec::new() })

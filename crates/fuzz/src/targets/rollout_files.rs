@@ -132,7 +132,8 @@ fn roll(root: &Path, skeleton: &Skeleton, after: Option<ResumeAfter>) -> Result<
     let clouds = SceneClouds::new(skeleton, &log.name).expect("points of ours");
     let desc = RasterizerDesc::from(RasterizerKind::Cpu);
     let mut rasterizer = raster::create(&desc, clouds.cloud_set()).expect("a rasterizer");
-    let rollout = Rollout::open(inputs, options, Some(&out), after)?;
+    let read = Inputs::new([&log_path, &skeleton_path]);
+    let rollout = Rollout::open(inputs, options, Some((out.as_path(), &read)), after)?;
     let mut painter = Painter { frames: 0 };
     let report = rollout.run(&clouds, rasterizer.as_mut(), Some(&mut painter), &mut |_| ())?;
     report.failure.or(report.summary_failure).map_or(Ok(()), Err)

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use point_skeleton::dataset::Dataset;
 use point_skeleton::error::FileError;
-use point_skeleton::files::{Inputs, OutputFolder};
+use point_skeleton::files::{Inputs, OutputFolder, check_place};
 use point_skeleton::raster::RasterizerDesc;
 use point_skeleton::scene::EgoOffset;
 use point_skeleton::skeleton;
@@ -38,6 +38,8 @@ impl Default for RecordOptions {
 pub struct ClipRecorder<'a> {
     /// Folder of the clips.
     pub folder: &'a Path,
+    /// Everything that the command reads, of which the folder is no part.
+    pub read: &'a Inputs,
     /// Network, which determines the recipe of the conditions.
     pub config: &'a NetworkConfig,
     /// Number and kind of the clips.
@@ -54,6 +56,14 @@ const BESIDE_M: f64 = 3.5;
 const TURNED_RAD: f64 = 0.1;
 
 impl ClipRecorder<'_> {
+    /// Checks, before any log is read, that the folder may be written.
+    ///
+    /// # Errors
+    /// Fails as [`check_place`].
+    pub fn check(&self) -> Result<(), FileError> {
+        check_place(self.folder, self.read)
+    }
+
     /// Returns the clips of a log, in order. Missing ones are recorded to files whose names begin with `name`.
     ///
     /// # Errors
@@ -69,7 +79,7 @@ impl ClipRecorder<'_> {
         if files.iter().any(|file| !file.is_file()) {
             self.record(name, (dataset, &fingerprint), &files)?;
         }
-        files.iter().map(|file| Ok(self.open((&dataset.log().name, &fingerprint), file)?)).collect()
+        files.iter().map(|file| Ok(self.open(name, (&dataset.log().name, &fingerprint), file)?)).collect()
     }
 
     /// Returns the path of a clip, `NAME-VARIANT[a].safetensors`.
@@ -86,7 +96,7 @@ impl ClipRecorder<'_> {
         (dataset, fingerprint): (&dyn Dataset, &str),
         files: &[PathBuf],
     ) -> Result<(), RecordError> {
-        let folder = OutputFolder::open(self.folder, KIND, &Inputs::default())?;
+        let folder = OutputFolder::open(self.folder, KIND, self.read)?;
         let skeleton = skeleton::open_or_build(&folder.folder(format!("{name}.skeleton"))?, dataset)?;
         let (recipe, rasterizer) = (&self.config.recipe, &self.options.rasterizer);
         let source = Source { dataset, fingerprint, skeleton: &skeleton, recipe, rasterizer };
@@ -114,7 +124,12 @@ impl ClipRecorder<'_> {
     }
 
     /// Opens a clip, which must be of the same recording, by its name and fingerprint, and have the same recipe.
-    fn open(&self, (log, fingerprint): (&str, &str), file: &Path) -> Result<TrainingClip, FileError> {
+    fn open(
+        &self,
+        name: &str,
+        (log, fingerprint): (&str, &str),
+        file: &Path,
+    ) -> Result<TrainingClip, FileError> {
         let clip = TrainingClip::open(file)?;
         let recipe = &self.config.recipe;
         if (clip.about.log.as_str(), &clip.about.recipe) != (log, recipe) {
@@ -124,9 +139,9 @@ impl ClipRecorder<'_> {
         }
         if clip.about.source != fingerprint {
             let expected = format!("a drive of this recording of {log}");
+            let named = file.file_name().unwrap_or_default().display();
             let found = format!(
-                "one of another recording or state of that name, or of an earlier version; remove {}, or use another folder of drives",
-                self.folder.display()
+                "one of another recording or state of that name, or of an earlier version; remove {named} and {name}.skeleton, or use another folder of drives"
             );
             return Err(FileError::content(expected, found, file));
         }

@@ -225,7 +225,7 @@ impl SimulateArgs {
     }
 
     /// Returns everything that is read.
-    fn input_paths(&self) -> InputPaths {
+    pub(super) fn input_paths(&self) -> InputPaths {
         let files = [self.annotations.as_deref(), self.policies.trajectory.as_deref()];
         let log = self.roots.locate(&self.log);
         InputPaths::new(log.inputs())
@@ -235,19 +235,19 @@ impl SimulateArgs {
             .and(self.stand_ins.inputs())
     }
 
-    /// Opens the files besides the output folder that the command writes.
-    pub(super) fn open_files(&self) -> anyhow::Result<OutputFiles> {
+    /// Opens the files besides the output folder that the command writes. `read` is everything that it reads.
+    pub(super) fn open_files(&self, read: &InputPaths) -> anyhow::Result<OutputFiles> {
         let folder = (!self.dry).then_some(self.out.as_path());
         let profile = ("--profile", self.profile.as_deref(), Profile::KIND);
         #[cfg(feature = "mcap")]
         {
             let mcap = ("--mcap", self.mcap.as_deref(), MCAP);
-            let [profile, mcap] = outputs::open([profile, mcap], &self.input_paths(), folder)?;
+            let [profile, mcap] = outputs::open([profile, mcap], read, folder)?;
             Ok(OutputFiles { profile, mcap })
         }
         #[cfg(not(feature = "mcap"))]
         {
-            let [profile] = outputs::open([profile], &self.input_paths(), folder)?;
+            let [profile] = outputs::open([profile], read, folder)?;
             Ok(OutputFiles { profile })
         }
     }
@@ -255,16 +255,19 @@ impl SimulateArgs {
     /// Reads the inputs.
     pub(super) fn inputs(&self) -> anyhow::Result<Inputs> {
         let mut dataset = self.roots.open_by(&self.log, &self.opener)?;
-        anyhow::ensure!(
-            self.ego_offset.is_none() || dataset.view_renderer().is_some(),
-            "expected a log town:.. with --ego-offset, whose images can be rendered there, found {}",
-            self.log
-        );
         // The skeleton is of the recording, in which the ego has not moved.
-        let skeleton = skeletons::open_for(&self.skeleton, dataset.log())?;
+        let unmoved = self.ego_offset.map(|_| dataset.log().clone());
         if let Some(offset) = self.ego_offset {
-            dataset = Box::new(MovedEgo::new(dataset, offset).context("the ego cannot be moved")?);
+            let moved = MovedEgo::new(dataset, offset).with_context(|| {
+                format!(
+                    "expected a log town:.. with --ego-offset, whose images can be rendered there, found {}",
+                    self.log
+                )
+            })?;
+            dataset = Box::new(moved);
         }
+        let recording = unmoved.as_ref().unwrap_or_else(|| dataset.log());
+        let skeleton = skeletons::open_for(&self.skeleton, recording)?;
         let log = dataset.log();
         let prompt = self.annotations.as_deref().map_or(Ok(PromptParts::default()), PromptParts::read)?;
         let map = self.read_map(dataset.as_ref())?;

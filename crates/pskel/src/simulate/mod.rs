@@ -20,7 +20,7 @@ use std::time::Instant;
 use point_skeleton::conditions::{ConditionOptions, MapSet};
 use point_skeleton::dataset::Recording;
 use point_skeleton::error::with_causes;
-use point_skeleton::files::OutputFile;
+use point_skeleton::files::{OutputFile, check_place};
 use point_skeleton::geometry::{Camera, ImageSize};
 use point_skeleton::scene::{SceneClouds, SubstituteReport};
 use pskel_sim::rollout::{
@@ -49,7 +49,11 @@ pub(super) fn run(args: SimulateArgs) -> anyhow::Result<()> {
 pub(super) fn rollout(args: SimulateArgs) -> anyhow::Result<String> {
     let start = Instant::now();
     args.check()?;
-    let files = args.open_files()?;
+    let read = args.input_paths();
+    let files = args.open_files(&read)?;
+    if !args.dry {
+        check_place(&args.out, &read)?; // before the log is read
+    }
     if let Some(note) = args.note_on_maps() {
         warn(note);
     }
@@ -75,7 +79,7 @@ pub(super) fn rollout(args: SimulateArgs) -> anyhow::Result<String> {
     let paths =
         InputPaths { log: &args.log.path, skeleton: &args.skeleton, prompt: args.annotations.as_deref() };
     let rollout_inputs = RolloutInputs { scenario: &scenario, skeleton, prompt, paths };
-    let out = (!args.dry).then_some(args.out.as_path());
+    let out = (!args.dry).then_some((args.out.as_path(), &read));
     let rollout = Rollout::open(rollout_inputs, options, out, args.resume_after()).map_err(usage)?;
     if args.resume_after().is_some() && rollout.steps_done() == 0 {
         warn("no rollout with a step was found to resume; this one starts at step 0");

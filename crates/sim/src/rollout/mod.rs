@@ -80,8 +80,9 @@ pub struct Rollout<'a> {
 }
 
 impl<'a> Rollout<'a> {
-    /// Starts the simulation, or resumes it from the steps of an earlier rollout in the folder `out`. Without a folder
-    /// nothing is written. Files of an earlier rollout are replaced by [`Rollout::run`], not before.
+    /// Starts the simulation, or resumes it from the steps of an earlier rollout in the folder `out`, which is given with
+    /// everything that the command reads. Without a folder nothing is written. Files of an earlier rollout are replaced by
+    /// [`Rollout::run`], not before.
     ///
     /// # Errors
     /// Fails if the options do not fit the log, if `out` is neither empty nor a rollout or lies within an input, if the
@@ -89,14 +90,13 @@ impl<'a> Rollout<'a> {
     pub fn open(
         inputs: RolloutInputs<'a>,
         options: RolloutOptions,
-        out: Option<&'a Path>,
+        out: Option<(&'a Path, &Inputs)>,
         resume: Option<ResumeAfter>,
     ) -> Result<Self, RolloutError> {
         let RolloutInputs { scenario, skeleton, prompt, paths } = inputs;
         let sources = Sources::new(scenario, skeleton, prompt)?;
-        let open = |folder: &'a Path| {
-            let inputs = Inputs::new([paths.skeleton, paths.log]);
-            let files = OutputFolder::open(folder, KIND, &inputs)?;
+        let open = |(folder, read): (&'a Path, &Inputs)| {
+            let files = OutputFolder::open(folder, KIND, read)?;
             // A resumed rollout is read from these.
             files.check([files::ROLLOUT, files::STATES, files::STEPS])?;
             Ok::<_, FileError>((folder, files))

@@ -48,7 +48,7 @@ pub struct RolloutInputs<'a> {
     pub paths: InputPaths<'a>,
 }
 
-/// Paths of the inputs, for errors. The output folder must lie outside of log and skeleton.
+/// Paths of the inputs, for errors.
 #[derive(Clone, Copy)]
 pub struct InputPaths<'a> {
     /// File or folder of the log.

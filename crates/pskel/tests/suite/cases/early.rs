@@ -21,7 +21,7 @@ fn run_as_other_user(log: &TinyLog, args: &str) -> Option<Output> {
         let mut command = Command::new("setpriv");
         command.args([
             "--reuid",
-            "54321",
+            "54331",
             "--clear-groups",
             "--inh-caps=-all",
             "--bounding-set=-all",

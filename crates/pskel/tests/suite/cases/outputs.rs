@@ -8,7 +8,7 @@ use serde_json::{Value, json};
 
 use crate::guarded;
 use crate::simulate::built;
-use crate::tiny_log::{TinyLog, assert_failed, tree};
+use crate::tiny_log::{FIRST_US, STEP_US, TinyLog, assert_failed, tree};
 
 const SIMULATE: &str =
     "simulate nuscenes:log --skeleton sk --out out --maps depth --rasterizer cpu --steps 1";
@@ -175,7 +175,10 @@ fn exports_replace_no_foreign_files() {
         assert!(tree(&log.path("out")) == before, "{layout}: {told}");
         // A folder of the way is a link.
         std::fs::write(&record, &record_text).unwrap();
-        let Some((folder, _)) = file.split_once('/') else { continue };
+        let Some((folder, _)) = file.split_once('/') else {
+            assert!(matches!(layout, "webdataset" | "mcap"), "{layout}: {file}");
+            continue;
+        };
         std::fs::rename(log.path("out").join(folder), log.path("stranger")).unwrap();
         symlink(log.path("stranger"), log.path("out").join(folder)).unwrap();
         let before = tree(&log.path("stranger"));
@@ -230,11 +233,13 @@ fn exports_of_other_frames_or_shards_are_refused() {
     );
 }
 
-/// Another recording with the same name: other poses, boxes, cameras, categories, times, tracks, or points.
+/// Another recording with the same name: other poses, boxes, cameras, categories, times, or points. Stated numbers of points
+/// are not part of a recording.
 #[test]
 fn shards_and_skeletons_of_another_recording_are_not_taken() {
-    let changes: [(&str, &str, Value); 6] = [
+    let changes: [(&str, &str, Value); 7] = [
         ("ego_pose", "/1/translation/0", json!(664_002.5)),
+        ("sample", "/1/timestamp", json!(FIRST_US + STEP_US + 1000)),
         ("sample_annotation", "/0/size/0", json!(2.5)),
         ("calibrated_sensor", "/1/camera_intrinsic/0/0", json!(30.0)),
         ("category", "/0/name", json!("human.pedestrian.adult")),
@@ -391,6 +396,23 @@ fn output_folders_are_no_part_of_an_input() {
         ("build nuscenes:log --out sk/sub/sk".to_owned(), skeleton),
         ("templates sk --min-points 1 --out templates/more".to_owned(), "outside of the templates"),
         (format!("{train} --out log"), "expected an output apart from the input log"),
+        (
+            format!("{train} --out tr --drives log/samples"),
+            "expected an output outside of the input log, found one in it: log/samples",
+        ),
+        (
+            "ablate nuscenes:log --rasterizer cpu --out log/samples".to_owned(),
+            "expected an output outside of the input log, found one in it: log/samples",
+        ),
+        (EXPORT.replace("--out out", "--out sk/export --layout frames"), skeleton),
+        (
+            EXPORT.replace("--out out", "--out none/../templates/export --layout frames"),
+            "outside of the templates",
+        ),
+        (
+            EXPORT.replace("--out out", "--out log/samples --layout frames"),
+            "expected an output outside of the input log",
+        ),
         (EXPORT.replace("--out out", "--out sks --layout frames"), "apart from that of the export"),
     ] {
         assert_refused(&log, &args, part);
@@ -400,6 +422,22 @@ fn output_folders_are_no_part_of_an_input() {
     std::fs::create_dir(log.path("other")).unwrap();
     symlink("../other", log.path("out/drives")).unwrap();
     assert_refused(&log, &format!("{train} --out out"), "found a link: out/drives");
+    // An export in a folder of the data is continued.
+    for _ in 0..2 {
+        log.succeed(&EXPORT.replace("--out out", "--out log/export --layout frames"));
+    }
+}
+
+/// Sensor data may be in another folder than the tables.
+#[test]
+fn rollouts_are_no_part_of_the_sensor_data() {
+    let log = ready();
+    std::fs::create_dir(log.path("s")).unwrap();
+    std::fs::rename(log.path("log/samples"), log.path("s/samples")).unwrap();
+    let simulate = format!("{SIMULATE} --sensor-root s");
+    let part = "expected an output outside of the input s, found one in it: s/samples";
+    assert_refused(&log, &simulate.replace("--out out", "--out s/samples"), part);
+    log.succeed(&simulate);
 }
 
 /// Arrays of NumPy have other shapes, and its archives another header.
@@ -451,7 +489,10 @@ fn refusals_come_before_the_work() {
     let log = ready();
     let generate = "generate nuscenes:log --skeleton sk --out rollout --every 1 --generator fill --window 2 \
         --maps color --rasterizer cpu";
-    std::fs::write(log.path("file"), "").unwrap();
+    for name in ["file", "broken.npy"] {
+        std::fs::write(log.path(name), "").unwrap();
+    }
+    std::fs::write(log.path("q.ply.origin.json"), "{\"mine\": 1}").unwrap();
     symlink("log", log.path("link")).unwrap();
     for (args, part) in [
         (
@@ -462,6 +503,7 @@ fn refusals_come_before_the_work() {
         (format!("{generate} --dataset link/copy"), "outside of the input log"),
         (format!("{generate} --dataset log"), "expected only files that pskel wrote"),
         (format!("{generate} --dataset file"), "expected a folder or none, found a file"),
+        ("convert broken.npy --out q.ply".to_owned(), "expected an origin of points to replace, or none"),
     ] {
         assert_refused(&log, &args, part);
         assert!(!log.path("rollout").exists(), "{args}");

@@ -83,6 +83,22 @@ fn protocols_retain_rollouts_of_the_same_recording_alone() {
 }
 
 #[test]
+fn protocols_retain_rollouts_with_the_same_captions_alone() {
+    let log = built();
+    let protocol = "protocol lane-change nuscenes:log --skeletons sks --out p --rasterizer cpu --maps color --parts replay \
+                    --window 2 --generator fill --captions c.json";
+    for (caption, refused) in [("sun", false), ("rain", true), ("sun", false)] {
+        std::fs::write(log.path("c.json"), json!({"tiny": caption}).to_string()).unwrap();
+        let output = log.run(protocol);
+        if refused {
+            assert_failed(&output, 1, &["expected the captions of this command", "p/protocol.json"]);
+        } else {
+            assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        }
+    }
+}
+
+#[test]
 fn drives_are_of_the_recording() {
     let log = TinyLog::new();
     let net = r#"{"recipe": {"drawn": "32x64", "size": "16x32"}, "frames": 2, "channels": [16, 16, 16, 16], "width": 32,
@@ -97,7 +113,8 @@ fn drives_are_of_the_recording() {
         (("ego_pose", "/1/translation/0"), json!(START.x + 1.0), json!(START.x + 1.5)),
     ] {
         log.change(table, pointer, after);
-        let parts = ["expected a drive of this recording of tiny", "remove out/drives", "tiny-0.safetensors"];
+        let parts =
+            ["expected a drive of this recording of tiny", "remove tiny-0.safetensors and tiny.skeleton, or"];
         assert_failed(&log.run(train), 1, &parts);
         log.change(table, pointer, before);
     }

@@ -1,0 +1,65 @@
+//! The index of a complete export.
+
+use std::path::Path;
+
+use point_skeleton::error::FileError;
+use point_skeleton::files::{FileKind, SharedFolder, write_json};
+use serde_json::json;
+
+use crate::shard::ShardRecord;
+use crate::{Layout, WorkList, layout};
+
+/// Index of a complete export.
+const INDEX: &str = "index.json";
+/// Kind of the index.
+const INDEX_KIND: FileKind = FileKind {
+    name: "the index of an export",
+    begin: b"{\n  \"__kind__\": \"wids-shard-index-v1\"",
+    marks: &[b"shardlist"],
+};
+
+/// What makes a shard exist.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Completeness {
+    /// Its record, and its files with their lengths.
+    Files,
+    /// Its record, where the files are somewhere else.
+    Record,
+}
+
+/// Writes `index.json` if all shards of a list exist, and returns whether they do.
+///
+/// # Errors
+/// Fails if the file cannot be written.
+pub fn write_index(
+    list: &WorkList,
+    out: &Path,
+    layout: Layout,
+    completeness: Completeness,
+) -> Result<bool, FileError> {
+    let mut entries = Vec::new();
+    let mut samples = 0;
+    for unit in list.logs.iter().flat_map(|log| &log.units) {
+        let record = match completeness {
+            Completeness::Files => ShardRecord::read(out, unit, None, false)?,
+            Completeness::Record => ShardRecord::parse(out, unit)?,
+        };
+        let Some(record) = record else { return Ok(false) };
+        samples += record.samples;
+        entries.push(layout::index_entry(layout, &record));
+    }
+    let index = json!({
+        "__kind__": "wids-shard-index-v1", "wids_version": 1, "layout": layout,
+        "nsamples": samples, "shardlist": entries,
+    });
+    let path = out.join(INDEX);
+    INDEX_KIND.check(&path)?;
+    match write_json(&path, &index) {
+        // Another process writes the same bytes.
+        Ok(()) | Err(FileError::Busy { .. }) => {
+            SharedFolder::remove_work(out); // before, other processes may still begin shards
+            Ok(true)
+        }
+        Err(error) => Err(error),
+    }
+}
