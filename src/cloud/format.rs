@@ -1,4 +1,4 @@
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use glam::DVec3;
 use serde::Serialize;
@@ -64,37 +64,47 @@ impl PointFormat {
     /// `p.npy.origin.json`.
     ///
     /// # Errors
-    /// Fails as [`OutputFile::open`] for either.
-    pub fn open_files(self, path: &Path, inputs: &Inputs) -> Result<[OutputFile; 2], FileError> {
+    /// Fails as [`OutputFile::open`] for either. A file of the origin that cannot be written is an error only if there is an
+    /// origin.
+    pub fn open_files(self, path: &Path, inputs: &Inputs) -> Result<PointOutput, FileError> {
         let points = OutputFile::open(path, self.kind(), inputs)?;
         let mut origin = points.path().as_os_str().to_owned();
         origin.push(".origin.json");
-        Ok([points, OutputFile::open(Path::new(&origin), ORIGIN, inputs)?])
+        match OutputFile::open(Path::new(&origin), ORIGIN, inputs) {
+            Err(error @ FileError::Content { .. }) => Err(error),
+            origin => Ok(PointOutput { format: self, points, origin }),
+        }
     }
+}
 
+/// Files of points to write, see [`PointFormat::open_files`].
+#[derive(Debug)]
+pub struct PointOutput {
+    format: PointFormat,
+    points: OutputFile,
+    origin: Result<OutputFile, FileError>,
+}
+
+impl PointOutput {
     /// Writes the points of a file. If they are relative to an origin, also writes that, and returns its path. Otherwise removes
     /// the origin of an earlier file.
     ///
     /// # Errors
     /// Fails if a file cannot be written, or if a file of another kind has the name of the origin's by now.
-    pub fn write_files<'a>(
-        self,
-        [points, origin]: &'a [OutputFile; 2],
-        file: &PointFile,
-    ) -> Result<Option<&'a Path>, FileError> {
+    pub fn write(self, file: &PointFile) -> Result<Option<PathBuf>, FileError> {
         let with_class = file.points.iter().any(|p| p.class() != 0);
-        let has_origin = file.origin != DVec3::ZERO;
-        let stale = Some(origin.path()).filter(|path| !has_origin && is_taken(path));
-        stale.map_or(Ok(()), |path| ORIGIN.check(path))?;
-        if has_origin {
+        let write = || self.format.write(self.points.path(), &file.points, with_class);
+        if file.origin != DVec3::ZERO {
+            let origin = self.origin?;
             // Written before the points, so that points never exist without their origin.
             origin.write_json(&FileOrigin { origin: file.origin.to_array() })?;
+            return write().map(|()| Some(origin.path().to_owned()));
         }
-        self.write(points.path(), &file.points, with_class)?;
-        if let Some(path) = stale {
-            std::fs::remove_file(path).map_err(FileError::io("delete", path))?;
-        }
-        Ok(has_origin.then_some(origin.path()))
+        let stale = self.origin.as_ref().ok().map(OutputFile::path).filter(|path| is_taken(path));
+        stale.map_or(Ok(()), |path| ORIGIN.check(path))?;
+        write()?;
+        stale.map_or(Ok(()), |path| std::fs::remove_file(path).map_err(FileError::io("delete", path)))?;
+        Ok(None)
     }
 }
 

@@ -20,7 +20,7 @@ mod rows;
 pub mod street;
 
 pub use colors::{ColorRange, ColorScale, ColorValues};
-pub use format::PointFormat;
+pub use format::{PointFormat, PointOutput};
 pub(crate) use morton::morton_order;
 pub(crate) use not_finite::not_finite;
 pub use origin::{PRECISE_WITHIN_M, Precision, local_position, origin_of};

@@ -63,7 +63,7 @@ fn convert_file(args: &ConvertArgs) -> anyhow::Result<String> {
     let out = format.open_files(&args.out, &Inputs::new([&args.input]))?;
     let file = cloud::read(&args.input)?;
     tell_notes(&args.input, &file.notes);
-    let origin = match format.write_files(&out, &file)? {
+    let origin = match out.write(&file)? {
         Some(path) => format!(", relative to the origin in {}", path.display()),
         None => String::new(),
     };

@@ -5,11 +5,15 @@ use crate::files::sniff;
 /// Absolute values of coordinates that occur, meters.
 const COORDINATES_M: std::ops::Range<f32> = 1e-5..1e4;
 
+/// Maximum length of a PCD header, bytes; real headers take a few hundred.
+#[cfg(any(feature = "nuscenes", feature = "nuplan"))]
+pub(super) const MAX_HEADER_BYTES: u64 = 1 << 16;
+
 /// Returns whether a file begins with a PCD header.
 #[cfg(any(feature = "nuscenes", feature = "nuplan"))]
 pub(in crate::dataset) fn is_pcd(bytes: &[u8]) -> bool {
     // Comments of any length precede the first line.
-    let head = &bytes[..bytes.len().min(super::pcd_header::MAX_HEADER_BYTES as usize)];
+    let head = &bytes[..bytes.len().min(MAX_HEADER_BYTES as usize)];
     let lines = head.split(|byte| *byte == b'\n').map(<[u8]>::trim_ascii);
     let first = lines.into_iter().find(|line| !line.is_empty() && !line.starts_with(b"#"));
     let key = first.and_then(|line| line.split(u8::is_ascii_whitespace).next());

@@ -7,8 +7,9 @@
 use std::io::Read;
 use std::path::Path;
 
+use super::format::MAX_HEADER_BYTES;
 use super::lzf::decompress;
-use super::pcd_header::{Encoding, Field, Header, MAX_HEADER_BYTES};
+use super::pcd_header::{Encoding, Field, Header};
 use super::{SweepRow, SweepRows};
 use crate::cloud::not_finite;
 use crate::dataset::{RingMeaning, Sweep};

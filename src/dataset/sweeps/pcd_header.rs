@@ -6,9 +6,6 @@ use super::format::is_pcd;
 use crate::error::FileError;
 use crate::files::sniff;
 
-/// Maximum header length, bytes; real headers take a few hundred.
-pub(super) const MAX_HEADER_BYTES: u64 = 1 << 16;
-
 /// Names of the fields that may be missing.
 const INTENSITY: &str = "intensity";
 const DEVICE: &str = "lidar_info";
