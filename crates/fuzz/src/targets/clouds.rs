@@ -82,9 +82,13 @@ fn sweep_pcd(data: &[u8]) {
     }
 }
 
-/// Returns whether an error of a PCD file is one of its points.
+/// Returns whether an error of a PCD file is one of its points. Points of text and compressed points are not decoded by the
+/// check at all.
 fn is_of_points(data: &[u8], error: &str) -> bool {
-    !data.to_ascii_lowercase().windows(12).any(|part| part == b"data binary\n")
+    let lower = data.to_ascii_lowercase();
+    let encoding =
+        lower.split(|byte| *byte == b'\n').find_map(|line| line.trim_ascii().strip_prefix(b"data "));
+    encoding.is_some_and(|word| word.trim_ascii() != b"binary")
         || error.contains("points with finite coordinates")
         || error.contains("points around the LiDAR")
 }
