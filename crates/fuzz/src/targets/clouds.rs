@@ -86,9 +86,11 @@ fn sweep_pcd(data: &[u8]) {
 /// check at all.
 fn is_of_points(data: &[u8], error: &str) -> bool {
     let lower = data.to_ascii_lowercase();
-    let encoding =
-        lower.split(|byte| *byte == b'\n').find_map(|line| line.trim_ascii().strip_prefix(b"data "));
-    encoding.is_some_and(|word| word.trim_ascii() != b"binary")
+    let encoding = lower.split(|byte| *byte == b'\n').find_map(|line| {
+        let mut words = line.split(u8::is_ascii_whitespace).filter(|word| !word.is_empty());
+        words.next().filter(|word| *word == b"data").and_then(|_| words.next())
+    });
+    encoding.is_some_and(|word| word != b"binary")
         || error.contains("points with finite coordinates")
         || error.contains("points around the LiDAR")
 }
