@@ -6,7 +6,7 @@
 // Readers share helpers, of which each needs only some.
 #![cfg_attr(
     not(all(feature = "nuscenes", feature = "nuplan", feature = "av2")),
-    allow(dead_code, unused_imports, reason = "with only some of the readers")
+    allow(dead_code, unreachable_pub, unused_imports, reason = "with only some of the readers")
 )]
 
 #[cfg(feature = "av2")]
