@@ -60,12 +60,12 @@ impl PointFormat {
         }
     }
 
-    /// Opens, before any work, a file of points to write, and the file of its origin beside it: `FILE.origin.json`, like
-    /// `p.npy.origin.json`.
+    /// Opens, before any work, a file of points to write, and the file of its origin beside it:
+    /// `FILE.origin.json`, like `p.npy.origin.json`.
     ///
     /// # Errors
-    /// Fails as [`OutputFile::open`] for either. A file of the origin that cannot be written is an error only if there is an
-    /// origin.
+    /// Fails as [`OutputFile::open`] for either. A file of the origin that cannot be written is an error only
+    /// if there is an origin.
     pub fn open_files(self, path: &Path, inputs: &Inputs) -> Result<PointOutput, FileError> {
         let points = OutputFile::open(path, self.kind(), inputs)?;
         let mut origin = points.path().as_os_str().to_owned();
@@ -86,8 +86,8 @@ pub struct PointOutput {
 }
 
 impl PointOutput {
-    /// Writes the points of a file. If they are relative to an origin, also writes that, and returns its path. Otherwise removes
-    /// the origin of an earlier file.
+    /// Writes the points of a file. If they are relative to an origin, also writes that, and returns its
+    /// path. Otherwise removes the origin of an earlier file.
     ///
     /// # Errors
     /// Fails if a file cannot be written, or if a file of another kind has the name of the origin's by now.

@@ -1,7 +1,7 @@
 //! Words for numbers that are not finite, in files of text.
 
-/// Parses the words for NaN and infinity of C, Python and Microsoft's runtime: `nan`, `-nan(ind)`, `1.#QNAN`, `-1.#IND`,
-/// `inf`, `Infinity`, `1.#INF`, `1.#J`. `None` for other text.
+/// Parses the words for NaN and infinity of C, Python and Microsoft's runtime: `nan`, `-nan(ind)`, `1.#QNAN`,
+/// `-1.#IND`, `inf`, `Infinity`, `1.#INF`, `1.#J`. `None` for other text.
 pub(crate) fn not_finite(text: &str) -> Option<f64> {
     let unsigned = text.trim_start_matches(['-', '+']).to_ascii_lowercase();
     let sign = if text.starts_with('-') { -1.0 } else { 1.0 };

@@ -1,9 +1,9 @@
 //! NPY point clouds `P.npy`: floats `[N, 6]` (x y z r g b) or `[N, 7]` (class last), C order.
 //!
 //! # How it works
-//! The declared size of the header is validated against the file, and its text against the syntax of a plain array,
-//! before parsing (`npy_header`). The data size is validated against the file before anything is allocated. Rows are
-//! read in blocks.
+//! The declared size of the header is validated against the file, and its text against the syntax of a plain
+//! array, before parsing (`npy_header`). The data size is validated against the file before anything is
+//! allocated. Rows are read in blocks.
 
 use std::io::{BufReader, Read, Seek, SeekFrom, Write};
 use std::path::Path;

@@ -39,8 +39,8 @@ pub(super) fn check_order(header: &NpyHeader, path: &Path) -> Result<(), FileErr
     }
 }
 
-/// Reads the magic, version, length and text of the header. Rejects any text whose parsing could exhaust memory or
-/// the stack.
+/// Reads the magic, version, length and text of the header. Rejects any text whose parsing could exhaust
+/// memory or the stack.
 fn read_bytes(reader: &mut impl Read, file_bytes: u64, path: &Path) -> Result<Vec<u8>, FileError> {
     let no_npy = |found: &str| FileError::content("an NPY file", found, path);
     let mut bytes = Vec::new();
@@ -74,8 +74,8 @@ fn read_bytes(reader: &mut impl Read, file_bytes: u64, path: &Path) -> Result<Ve
     Ok(bytes)
 }
 
-/// Returns whether a header text is as simple as that of a numeric array. Nesting is limited, and the number of
-/// (decimal) digits is so small that no product of the numbers can overflow 64 bits.
+/// Returns whether a header text is as simple as that of a numeric array. Nesting is limited, and the number
+/// of (decimal) digits is so small that no product of the numbers can overflow 64 bits.
 fn is_plain(text: &[u8]) -> bool {
     let count = |wanted: &dyn Fn(u8) -> bool| text.iter().filter(|b| wanted(**b)).count();
     let prefixed = |w: &[u8]| w[0] == b'0' && matches!(w[1].to_ascii_lowercase(), b'x' | b'o' | b'b');

@@ -9,7 +9,8 @@ use crate::raster::{frame_bytes, need_of_views};
 /// Memory of a color map that is rendered at full size, per pixel: the rasterizer's maps, the map itself, and what its filter needs.
 const FULL_COLOR_BYTES: u64 = 8 + 3 + 8;
 
-/// Maps that are being encoded take up to two thirds more (measured: EXR a byte more per 1.6 bytes, PNG and NPZ less).
+/// Maps that are being encoded take up to two thirds more (measured: EXR a byte more per 1.6 bytes, PNG and
+/// NPZ less).
 fn with_encoded(bytes: u64) -> u64 {
     bytes + (2 * bytes).div_ceil(3)
 }

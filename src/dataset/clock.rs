@@ -82,8 +82,9 @@ impl Offset {
         (range_us[0] > tolerance_us).then_some(Self { t_us, expected_us, range_us, unit: Unit::MICROS })
     }
 
-    /// Compares ascending times with the first and last of a span. Returns the offset of the first time from the first of the
-    /// span, if no time is within the span or the tolerance. Times on both sides of the span are of its clock.
+    /// Compares ascending times with the first and last of a span. Returns the offset of the first time from
+    /// the first of the span, if no time is within the span or the tolerance. Times on both sides of the span
+    /// are of its clock.
     #[cfg(any(feature = "nuplan", feature = "av2"))]
     pub(super) fn of_all(
         times_us: impl Iterator<Item = i64>,

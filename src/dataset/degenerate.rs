@@ -87,7 +87,8 @@ pub(super) fn line(points: Vec<DVec2>) -> Result<Vec<DVec2>, Fault> {
     if is_sound { Ok(points) } else { Err(Fault::NoLength) }
 }
 
-/// Returns whether all coordinates are finite and within the limit of positions, so that later arithmetic stays finite.
+/// Returns whether all coordinates are finite and within the limit of positions, so that later arithmetic
+/// stays finite.
 fn are_positions(points: &[DVec2]) -> bool {
     points.iter().all(|point| is_position(point.extend(0.0)))
 }

@@ -3,7 +3,7 @@
 //! A reader converts its raw tables to a lightweight [`Recording`] (poses, calibration, boxes and file paths) and reads
 //! sweeps and images on demand. Nothing is dropped silently: a reader counts skipped items in [`Recording::notes`].
 
-// Readers share helpers, of which each needs only some.
+// Each reader needs only some of the shared helpers.
 #![cfg_attr(
     not(all(feature = "nuscenes", feature = "nuplan", feature = "av2")),
     allow(dead_code, unreachable_pub, unused_imports, reason = "with only some of the readers")

@@ -163,8 +163,8 @@ impl Manifest {
     }
 }
 
-/// Returns whether a path, by its text alone, names something below the folder that it is relative to: it has neither a
-/// root nor `..`. Links are not considered.
+/// Returns whether a path, by its text alone, names something below the folder that it is relative to: it has
+/// neither a root nor `..`. Links are not considered.
 pub fn is_below(path: &Path) -> bool {
     path.components().all(|part| matches!(part, Component::Normal(_)))
 }

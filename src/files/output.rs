@@ -26,7 +26,8 @@ use super::resolved::resolved;
 use super::work::{OWN_NAME, WorkFolder};
 use crate::error::FileError;
 
-/// Kinds of whole folders in which no other output may be: it would be a foreign file for the next run that writes them.
+/// Kinds of whole folders that accept no other output: it would be a foreign file for the next run that
+/// writes them.
 const CLOSED: [&str; 2] = [SKELETON, TEMPLATES];
 /// Kind of a skeleton.
 pub(crate) const SKELETON: &str = "skeleton";
@@ -59,8 +60,9 @@ impl OutputFolder {
     /// Opens a folder for a kind of content (`maps`, `rollout`, ...), and creates it if it does not exist.
     ///
     /// # Errors
-    /// Fails if another process uses the folder, if it has another kind, if it is one of `inputs` or a part of one, if it is
-    /// in a skeleton or a template library, if it is a link that leads nowhere, or on an I/O error.
+    /// Fails if another process uses the folder, if it has another kind, if it is one of `inputs` or a part
+    /// of one, if it is in a skeleton or a template library, if it is a link that leads nowhere, or on an I/O
+    /// error.
     pub fn open(path: &Path, kind: &str, inputs: &Inputs) -> Result<Self, FileError> {
         check_place(path, inputs)?;
         if path.is_symlink() && !path.exists() {

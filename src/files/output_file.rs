@@ -24,7 +24,8 @@ pub struct FileKind {
     pub name: &'static str,
     /// Bytes with which every file of the kind begins.
     pub begin: &'static [u8],
-    /// Sequences of bytes of which at least one follows within the first 4096 bytes; empty if the beginning is enough.
+    /// Sequences of bytes of which at least one follows within the first 4096 bytes; empty if the beginning
+    /// is enough.
     pub marks: &'static [&'static [u8]],
 }
 
@@ -40,9 +41,9 @@ impl OutputFile {
     /// Checks, before any work, that a file may be written.
     ///
     /// # Errors
-    /// Fails if the file is one of the inputs or below one, if it belongs to another output or is in a skeleton or a template
-    /// library, if a file of another kind, a folder or a device is there, if its folder does not exist, or if it cannot be
-    /// written there.
+    /// Fails if the file is one of the inputs or below one, if it belongs to another output or is in a
+    /// skeleton or a template library, if a file of another kind, a folder or a device is there, if its
+    /// folder does not exist, or if it cannot be written there.
     pub fn open(path: &Path, kind: FileKind, inputs: &Inputs) -> Result<Self, FileError> {
         let path = if path.exists() { path.to_owned() } else { created_at(path) };
         inputs.check_same(&path)?;
@@ -155,8 +156,8 @@ fn check_name(path: &Path) -> Result<(), FileError> {
     }
 }
 
-/// Checks that a file can be created in its folder, or that an existing one can be written to. A link counts as the file
-/// to which it leads.
+/// Checks that a file can be created in its folder, or that an existing one can be written to. A link counts
+/// as the file to which it leads.
 fn check_writable(path: &Path) -> Result<(), FileError> {
     let place = target(path)?;
     match access(parent(&place), Access::WRITE_OK | Access::EXEC_OK) {

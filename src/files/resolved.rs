@@ -5,8 +5,8 @@ use std::path::{Component, Path, PathBuf};
 /// Maximum number of links that are followed, as on Linux, so that links in a circle end.
 const MAX_LINKS: usize = 40;
 
-/// Returns the absolute place of a path, which need not exist. Links are followed, also those that lead nowhere; `..` leaves
-/// the folder before it, even if that does not exist yet.
+/// Returns the absolute place of a path, which need not exist. Links are followed, also those that lead
+/// nowhere; `..` leaves the folder before it, even if that does not exist yet.
 pub fn resolved(path: &Path) -> PathBuf {
     let absolute = std::path::absolute(path).unwrap_or_else(|_| path.to_owned());
     let mut links = MAX_LINKS;

@@ -1,11 +1,11 @@
 //! Output folders that several processes fill at the same time, unit by unit.
 //!
 //! # How it works
-//! A unit is written in a work folder of its own (`OUT/.unfinished/UNIT`), which has its lock. It is published by moving
-//! its files to their names and writing its record, which lists them, last. A file may be replaced only if the unit's
-//! earlier record lists it. One with the same bytes stays, so that a record that was lost is written again. The work folder
-//! lists the files of the earlier record, and each new one just before it is moved. After a killed process, the next owner
-//! removes these.
+//! A unit is written in a work folder of its own (`OUT/.unfinished/UNIT`), which has its lock. It is
+//! published by moving its files to their names and writing its record, which lists them, last. A file may be
+//! replaced only if the unit's earlier record lists it. One with the same bytes stays, so that a record that
+//! was lost is written again. The work folder lists the files of the earlier record, and each new one just
+//! before it is moved. After a killed process, the next owner removes these.
 
 use std::collections::BTreeSet;
 use std::fs::File;
@@ -80,8 +80,8 @@ impl SharedFolder {
     /// file may be replaced depends on its bytes, if the earlier record does not list it.
     ///
     /// # Errors
-    /// Fails if a folder has its name, or a link that the earlier record does not list, or if a link on the way leads out of
-    /// the folder.
+    /// Fails if a folder has its name, or a link that the earlier record does not list, or if a link on the
+    /// way leads out of the folder.
     pub fn check(&self, name: &Path) -> Result<(), FileError> {
         check_way(&self.out, name)?;
         let path = self.out.join(name);

@@ -108,8 +108,8 @@ fn has_work_inside(path: &Path) -> bool {
 /// that holds only files written by runs, and it neither is nor contains an input.
 ///
 /// # Errors
-/// Fails if anything else exists at the path, if the path has no file name, if it is in a skeleton or a template library,
-/// or on an I/O error.
+/// Fails if anything else exists at the path, if the path has no file name, if it is in a skeleton or a
+/// template library, or on an I/O error.
 pub fn check_whole(path: &Path, kind: &str, inputs: &Inputs) -> Result<(), FileError> {
     let is_inside = has_work_inside(path);
     if path.file_name().is_none() && !is_inside {

@@ -48,7 +48,8 @@ impl Cuboid {
     /// a size.
     ///
     /// # Errors
-    /// Fails if a side is not finite or above [`MAX_SIDE_M`], or if a coordinate exceeds [`MAX_COORDINATE_M`].
+    /// Fails if a side is not finite or above [`MAX_SIDE_M`], or if a coordinate exceeds
+    /// [`MAX_COORDINATE_M`].
     pub fn unless_flat(pose: Pose, size: DVec3) -> Result<Option<Self>, CuboidError> {
         let is_flat = size.is_finite() && size.min_element() < MIN_SIDE_M;
         if is_flat { Ok(None) } else { Self::new(pose, size).map(Some) }

@@ -16,12 +16,12 @@ const OPTIONS: &str = SharedFolder::OPTIONS;
 /// Pause between attempts to write the options while another process does.
 const PAUSE: Duration = Duration::from_millis(200);
 
-/// Writes the options into the folder, or compares them with those there. Waits for another process that writes them. `read`
-/// is everything that the export reads.
+/// Writes the options into the folder, or compares them with those there. Waits for another process that
+/// writes them. `read` is everything that the export reads.
 ///
 /// # Errors
-/// Fails if the folder is a part of what is read, if it has an export with other options or foreign files, or if it cannot be
-/// written.
+/// Fails if the folder is a part of what is read, if it has an export with other options or foreign files, or
+/// if it cannot be written.
 pub(crate) fn claim(out: &Path, options: &ExportOptions, read: &Inputs) -> Result<(), FileError> {
     check_place(out, read)?;
     let path = out.join(OPTIONS);
@@ -33,7 +33,8 @@ pub(crate) fn claim(out: &Path, options: &ExportOptions, read: &Inputs) -> Resul
             let theirs: Value = json::read(&path, "the options of an export")?;
             let same = compare(&content, &theirs, &path);
             let is_ours = theirs["options"]["export_layout"].is_string() && !path.is_symlink();
-            // Options of an export that never began a shard are replaced, other documents of that name are not.
+            // Options of an export that never began a shard are replaced, other documents of that name are
+            // not.
             if same.is_ok() || foreign.is_some() || !is_ours {
                 return same;
             }
@@ -49,7 +50,7 @@ pub(crate) fn claim(out: &Path, options: &ExportOptions, read: &Inputs) -> Resul
     }
 }
 
-/// Checks that the folder, in which a shard has begun, has these options.
+/// Checks that a folder with a begun shard has these options.
 ///
 /// # Errors
 /// Fails if another process, which found no shard, has replaced them.

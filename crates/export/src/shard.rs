@@ -175,8 +175,8 @@ impl Shard {
         })
     }
 
-    /// Binds the shard to the options of its export. They are compared now and again when the shard is published: another
-    /// process that found no shard may replace them meanwhile.
+    /// Binds the shard to the options of its export. They are compared now and again when the shard is
+    /// published: another process that found no shard may replace them meanwhile.
     ///
     /// # Errors
     /// Fails if the export has other options.

@@ -42,7 +42,8 @@ const CATEGORIES: [&str; 30] = [
 /// Returns the dotted name of a category: group, kind, and the dataset's own name in lower case, like
 /// `vehicle.car.regular_vehicle`, in any case. Words of other data sets stay as they are. `None` for unknown words.
 ///
-/// Kinds are those of all data sets, except that riders are pedestrians: they have boxes separate from their cycles.
+/// Kinds follow `CategoryKind`, except that riders are pedestrians: they have boxes separate from their
+/// cycles.
 pub(super) fn dotted(category: &str) -> Option<String> {
     let upper = category.trim().to_uppercase().replace([' ', '-'], "_");
     if !CATEGORIES.contains(&upper.as_str()) {

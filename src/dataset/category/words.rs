@@ -22,8 +22,9 @@ use CategoryKind::{
     AnyVehicle, Bicycle, Bus, Car, Construction, Emergency, Motorcycle, Object, Pedestrian, Trailer, Truck,
 };
 
-/// Words in the singular, in lower case without separators. Sources: the category lists of nuScenes, nuPlan, Argoverse 2,
-/// Lyft Level 5, TIER IV's T4, KITTI, Waymo Open, PandaSet, TruckScenes, ONCE, DAIR-V2X, ZOD and Cityscapes.
+/// Words in the singular, in lower case without separators. Sources: the category lists of nuScenes, nuPlan,
+/// Argoverse 2, Lyft Level 5, TIER IV's T4, KITTI, Waymo Open, PandaSet, TruckScenes, ONCE, DAIR-V2X, ZOD and
+/// Cityscapes.
 pub(super) const WORDS: [(CategoryKind, &[&str]); 11] = [
     (
         Car,

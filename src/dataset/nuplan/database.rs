@@ -211,8 +211,8 @@ impl<'a> Row<'a> {
         FileError::content(expected, found, self.path).into()
     }
 
-    /// Creates the gap of this row, which refers to a row of another table that does not exist; `token` is `None` for an
-    /// empty reference.
+    /// Creates the gap of this row, which refers to a row of another table that does not exist; `token` is
+    /// `None` for an empty reference.
     pub(super) fn dangling(&self, kind: &'static str, table: &str, token: Option<&[u8]>) -> Gap {
         let token = token.map_or_else(|| "NULL".to_owned(), hex);
         Gap::dangling(kind, &self.name(), table, &token, self.path)

@@ -27,8 +27,8 @@ pub(super) struct FrameRecord {
 pub(super) const POSE_COLUMNS: [&str; 7] =
     ["ego_pose.x", "ego_pose.y", "ego_pose.z", "ego_pose.qw", "ego_pose.qx", "ego_pose.qy", "ego_pose.qz"];
 
-/// Reads all frames of the log or of a scene, in time order. Counts those without an ego pose instead. Also returns the
-/// first and last time of the whole log.
+/// Reads all frames of the log or of a scene, in time order. Counts those without an ego pose instead. Also
+/// returns the first and last time of the whole log.
 ///
 /// # Errors
 /// Fails if times do not increase from frame to frame or along `next_token`, or if there is no frame.

@@ -147,7 +147,8 @@ fn cameras(
     Ok(cameras)
 }
 
-/// Returns the size, intrinsics and distortion of a row of `camera`. Coefficients are not read if the images are rectified.
+/// Returns the size, intrinsics and distortion of a row of `camera`. Coefficients are not read if the images
+/// are rectified.
 fn camera(row: &Row<'_>, option: ImageDistortion, database: &Database) -> Result<Camera, DatasetError> {
     let rows = unpickled(row, 4, "a pickled 3x3 matrix", pickle::Value::matrix)?;
     let is_rectified = row.is_null(5) || option == ImageDistortion::Ignore;

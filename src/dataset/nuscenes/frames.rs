@@ -1,7 +1,8 @@
 //! Sweeps and images of a scene, grouped by frame.
 //!
-//! Key frames belong to the sample they reference. Other data belongs to the first frame at or after its timestamp; a
-//! sample without key frames is no frame. Data after the last frame has no later boxes, so it is skipped and counted.
+//! Key frames belong to the sample they reference. Other data belongs to the first frame at or after its
+//! timestamp; a sample without key frames is no frame. Data after the last frame has no later boxes, so it is
+//! skipped and counted.
 
 use std::path::Path;
 

@@ -47,7 +47,8 @@ const MODEL: [&str; 2] = ["distortionmodel", "model"];
 /// Names of fields with single coefficients, in OpenCV's order.
 const SINGLE: [&str; 8] = ["k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"];
 
-/// Names of the model of OpenCV's `projectPoints`, in lower case without separators. Coefficients of other models differ.
+/// Names of the model of OpenCV's `projectPoints`, in lower case without separators. Coefficients of other
+/// models differ.
 const OPENCV_MODELS: [&str; 11] = [
     "",
     "brown",
@@ -65,8 +66,8 @@ const OPENCV_MODELS: [&str; 11] = [
 /// Returns the lens of a calibrated camera; `record` and `path` are for messages.
 ///
 /// # Errors
-/// Fails if the coefficients apply and are not those of OpenCV: `k1 k2 p1 p2`, and `k3` or further zeros, of one of
-/// [`OPENCV_MODELS`]. Fails if two fields apply that contradict each other.
+/// Fails if the coefficients apply and are not those of OpenCV: `k1 k2 p1 p2`, and `k3` or further zeros, of
+/// one of [`OPENCV_MODELS`]. Fails if two fields apply that contradict each other.
 pub(super) fn lens(
     calibrated: &CalibratedSensor,
     sensor: &Sensor,
@@ -135,7 +136,8 @@ fn is_named(key: &str) -> bool {
     NAMES.contains(&plain(key).as_str())
 }
 
-/// Returns the first model that is not one of [`OPENCV_MODELS`], from the fields of records or beside the coefficients.
+/// Returns the first model that is not one of [`OPENCV_MODELS`], from the fields of records or beside the
+/// coefficients.
 fn other_model(records: [&Map<String, Value>; 2]) -> Option<&Value> {
     let objects = records.into_iter().flatten().filter(|(key, _)| is_named(key));
     let inner = objects.filter_map(|(_, value)| value.as_object()).flatten();

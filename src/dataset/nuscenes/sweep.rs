@@ -22,8 +22,8 @@ const NO_RING: &str = "sweeps of four columns (x y z intensity), without rings";
 /// name.
 ///
 /// # Errors
-/// Fails if the file is missing or empty, or has another format or layout. Fails if no point has finite coordinates, or
-/// all are at the origin.
+/// Fails if the file is missing or empty, or has another format or layout. Fails if no point has finite
+/// coordinates, or all are at the origin.
 pub fn read_sweep_file(path: &Path) -> Result<Sweep, FileError> {
     read_rows(path)?.finish(RingMeaning::Auto, path)
 }

@@ -19,7 +19,8 @@ use crate::files::input::{SWEEP_BYTES, open_regular, read_file};
 /// Bytes before compressed points: their length, and the length that they expand to.
 const LENGTHS: usize = 8;
 
-/// Bytes at the start of a file that [`check_pcd`] reads: the longest header, and the lengths of compressed points.
+/// Bytes at the start of a file that [`check_pcd`] reads: the longest header, and the lengths of compressed
+/// points.
 pub(in crate::dataset) const HEAD_BYTES: u64 = MAX_HEADER_BYTES + LENGTHS as u64;
 
 /// Returns the number of points of a PCD file from its header, after checking its length.

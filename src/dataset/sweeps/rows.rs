@@ -67,7 +67,7 @@ impl SweepRows {
         count(&mut self.sweep.notes, kind, 1);
     }
 
-    /// Returns whether numbers of the points may be those of LiDARs.
+    /// Returns whether the points' numbers may be LiDAR numbers.
     pub(super) fn may_be_merged(&self) -> bool {
         self.has_devices() || may_be_devices(&self.sweep.points)
     }

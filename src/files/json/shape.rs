@@ -41,7 +41,8 @@ fn shortened(key: &[u8]) -> Cow<'_, str> {
     format!("{beginning}..").into()
 }
 
-/// Returns the keys of an object, and where their values begin. A value is read when the next key is asked for.
+/// Returns the keys of an object, and where their values begin. A value is read when the next key is asked
+/// for.
 fn members(text: &[u8], object: usize) -> impl Iterator<Item = (&[u8], usize)> {
     let mut value = None;
     std::iter::from_fn(move || {

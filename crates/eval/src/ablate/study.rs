@@ -24,12 +24,12 @@ pub struct Ablation {
 }
 
 impl Ablation {
-    /// Opens the folder of a study of some tables, or of all tables if none are given. Results in it are reused. `read` is
-    /// everything that the command reads.
+    /// Opens the folder of a study of some tables, or of all tables if none are given. Results in it are
+    /// reused. `read` is everything that the command reads.
     ///
     /// # Errors
-    /// Fails if the networks are not comparable, if the options are inconsistent, or if the folder is in use, has other
-    /// files, or is a part of what is read.
+    /// Fails if the networks are not comparable, if the options are inconsistent, or if the folder is in use,
+    /// has other files, or is a part of what is read.
     pub fn open(
         (path, read): (&Path, &Inputs),
         networks: Networks,

@@ -82,8 +82,8 @@ fn sweep_pcd(data: &[u8]) {
     }
 }
 
-/// Returns whether an error of a PCD file is one of its points. Points of text and compressed points are not decoded by the
-/// check at all.
+/// Returns whether an error of a PCD file is one of its points. Points of text and compressed points are not
+/// decoded by the check at all.
 fn is_of_points(data: &[u8], error: &str) -> bool {
     let lower = data.to_ascii_lowercase();
     let encoding = lower.split(|byte| *byte == b'\n').find_map(|line| {

@@ -17,7 +17,7 @@ fn info(log: &TinyLog, target: &str) -> Value {
     json
 }
 
-/// Returns the description as text. The exit code must be that of the description as JSON.
+/// Returns the description as text. The exit code must equal the JSON description's.
 #[track_caller]
 fn text(log: &TinyLog, target: &str) -> String {
     let [text, json] = ["", "--json "].map(|option| log.run(&format!("info {option}{target}")));

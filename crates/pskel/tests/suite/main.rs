@@ -4,6 +4,7 @@
 mod av2;
 mod av2_bad;
 mod av2_log;
+mod av2_map;
 mod bench_cli;
 mod build_resume;
 mod cases;

@@ -80,9 +80,9 @@ pub struct Rollout<'a> {
 }
 
 impl<'a> Rollout<'a> {
-    /// Starts the simulation, or resumes it from the steps of an earlier rollout in the folder `out`, which is given with
-    /// everything that the command reads. Without a folder nothing is written. Files of an earlier rollout are replaced by
-    /// [`Rollout::run`], not before.
+    /// Starts the simulation, or resumes it from the steps of an earlier rollout in the folder `out`, which
+    /// is given with everything that the command reads. Without a folder nothing is written. Files of an
+    /// earlier rollout are replaced by [`Rollout::run`], not before.
     ///
     /// # Errors
     /// Fails if the options do not fit the log, if `out` is neither empty nor a rollout or lies within an input, if the

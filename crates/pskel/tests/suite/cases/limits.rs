@@ -130,7 +130,8 @@ fn few_processes_of_a_user_are_refused_in_one_line() {
     }
 }
 
-/// A run that can open few files ends with an error, and leaves nothing that later runs take for a foreign folder.
+/// A run that can open few files ends with an error, and leaves nothing that later runs take for a foreign
+/// folder.
 #[test]
 fn few_open_files_do_not_spoil_an_output() {
     let log = log_with_skeleton();

@@ -103,7 +103,7 @@ fn empty_files_and_pointers_are_named() {
 
 /// The same words for every kind of file.
 #[test]
-fn placeholders_are_named_in_every_reader() {
+fn undownloaded_files_are_named_in_every_reader() {
     let lfs = b"version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 1\n";
     let html = b"<html><head><title>404 Not Found</title></head></html>";
     for (content, found) in [(&lfs[..], "found a Git LFS pointer"), (html, "found an HTML page")] {

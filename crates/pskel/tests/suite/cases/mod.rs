@@ -4,6 +4,7 @@
 mod clocks;
 mod columns;
 mod early;
+mod exports;
 mod folders;
 mod gaps;
 mod limits;
