@@ -38,6 +38,7 @@ pub mod gpu;
 pub mod hash;
 pub mod idm;
 pub mod memory;
+pub mod pipeline;
 pub mod raster;
 pub mod scene;
 pub mod sequence;
@@ -53,7 +54,7 @@ pub use conditions::{CameraConditions, ConditionOptions, ImageSize, MapFormat, M
 pub use log::Log;
 pub use maps::Maps;
 pub use raster::{RasterizerKind, SplatSchedule};
-pub use renderer::{RenderOptions, Renderer};
+pub use renderer::{MapOptions, RenderOptions, Renderer};
 pub use scene::{EgoOffset, SceneState};
 pub use skeleton::{BuildOptions, Skeleton};
 

@@ -1,13 +1,15 @@
 use std::collections::VecDeque;
 use std::sync::Arc;
+use std::time::Instant;
 
 use crate::Error;
 use crate::conditions::distort::{Distorter, PinholeStep};
 use crate::conditions::{ConditionError, ConditionOptions, StepInFlight, check_memory};
 use crate::geometry::View;
 use crate::maps::Maps;
-use crate::raster::{self, FRAMES_IN_FLIGHT, Rasterizer, RasterizerDesc};
-use crate::scene::{SceneClouds, SceneState, SelectionOptions, Substitutes};
+use crate::pipeline::Pipeline;
+use crate::raster::{self, Rasterizer, RasterizerDesc};
+use crate::scene::{SceneClouds, SceneInstances, SceneState, SelectionOptions, Substitutes};
 use crate::skeleton::Skeleton;
 
 /// Options of a [`Renderer`].
@@ -40,18 +42,34 @@ impl Default for RenderOptions<'_> {
     }
 }
 
+/// What to render of a state: the maps, and the choice of the clouds that represent its actors.
+#[derive(Clone, Debug, Default)]
+pub struct MapOptions {
+    /// Maps, sizes and splat radii.
+    pub conditions: Arc<ConditionOptions>,
+    /// Choice between an actor's own points and a template.
+    pub selection: SelectionOptions,
+}
+
+impl MapOptions {
+    /// Creates options of these parts.
+    pub fn new(conditions: ConditionOptions, selection: SelectionOptions) -> Self {
+        Self { conditions: Arc::new(conditions), selection }
+    }
+}
+
 /// Renders the condition maps of scene states from a skeleton. Owns the device and the clouds on it.
 pub struct Renderer<'a> {
     clouds: SceneClouds<'a>,
     rasterizer: Box<dyn Rasterizer + 'a>,
-    conditions: Arc<ConditionOptions>,
-    selection: SelectionOptions,
+    maps: MapOptions,
     distorter: Option<Distorter>,
     in_flight: VecDeque<InFlight>,
 }
 
 struct InFlight {
     state: SceneState,
+    conditions: Arc<ConditionOptions>,
     pinholes: Option<PinholeStep>,
     step: StepInFlight,
 }
@@ -66,14 +84,17 @@ impl<'a> Renderer<'a> {
         let clouds = SceneClouds::with(skeleton, options.log.unwrap_or(first), options.substitutes)?;
         let rasterizer = raster::create(&options.rasterizer, clouds.cloud_set())?;
         let distorter = options.distort.then(|| Distorter::new(&options.conditions)).transpose()?;
-        Ok(Self {
-            clouds,
-            rasterizer,
-            conditions: Arc::new(options.conditions),
-            selection: options.selection,
-            distorter,
-            in_flight: VecDeque::new(),
-        })
+        let maps = MapOptions::new(options.conditions, options.selection);
+        Ok(Self { distorter, ..Self::with_rasterizer(clouds, rasterizer, maps) })
+    }
+
+    /// Creates a renderer with a rasterizer that holds [`SceneClouds::cloud_set`], for rasterizers outside this crate.
+    pub fn with_rasterizer(
+        clouds: SceneClouds<'a>,
+        rasterizer: Box<dyn Rasterizer + 'a>,
+        maps: MapOptions,
+    ) -> Self {
+        Self { clouds, rasterizer, maps, distorter: None, in_flight: VecDeque::new() }
     }
 
     /// Checks that the maps of a state fit into the memory that is available. Rendering checks this too; calling it first
@@ -83,7 +104,7 @@ impl<'a> Renderer<'a> {
     /// Fails if they do not fit.
     pub fn check_memory(&self, state: &SceneState) -> Result<(), Error> {
         let views: Vec<View> = state.cameras.iter().map(|camera| camera.view.clone()).collect();
-        Ok(check_memory(&views, &self.conditions, state.map.is_some()).map_err(ConditionError::from)?)
+        Ok(check_memory(&views, &self.maps.conditions, state.map.is_some()).map_err(ConditionError::from)?)
     }
 
     /// Renders the maps of a state. Frames in flight are discarded.
@@ -93,6 +114,17 @@ impl<'a> Renderer<'a> {
     pub fn render(&mut self, state: &SceneState) -> Result<Maps, Error> {
         self.discard()?;
         self.begin(state)?;
+        self.finish()
+    }
+
+    /// Renders other maps of a state than those that the renderer was created for, without lens distortion. Frames in
+    /// flight are discarded.
+    ///
+    /// # Errors
+    /// Fails as [`Renderer::render`].
+    pub fn render_with(&mut self, state: &SceneState, options: &MapOptions) -> Result<Maps, Error> {
+        self.discard()?;
+        self.begin_with(state, options)?;
         self.finish()
     }
 
@@ -106,38 +138,83 @@ impl<'a> Renderer<'a> {
         states: impl IntoIterator<Item = SceneState>,
     ) -> impl Iterator<Item = Result<Maps, Error>> {
         let mut states = states.into_iter();
+        let mut pipeline = Pipeline::default();
         let mut discarded = self.discard();
         let mut failed = false;
         std::iter::from_fn(move || {
-            let mut next = || {
-                std::mem::replace(&mut discarded, Ok(()))?;
-                while self.in_flight.len() < FRAMES_IN_FLIGHT {
-                    let Some(state) = states.next() else { break };
-                    self.begin(&state)?;
-                }
-                if self.in_flight.is_empty() { Ok(None) } else { self.finish().map(Some) }
-            };
             if failed {
                 return None;
             }
-            let result = next().transpose();
-            failed = matches!(result, Some(Err(_)));
-            result
+            let begin = |renderer: &mut Self| {
+                let state = states.next();
+                state.map(|state| renderer.begin(&state)).transpose()
+            };
+            let next = std::mem::replace(&mut discarded, Ok(()))
+                .and_then(|()| pipeline.next(self, begin, |renderer, ()| renderer.finish()));
+            failed = next.is_err();
+            next.map(|next| next.map(|((), maps)| maps)).transpose()
         })
     }
 
+    /// Renders tagged states in order like [`Renderer::render_iter`], and passes their maps to `take` until it returns
+    /// `false`.
+    ///
+    /// # Errors
+    /// Returns the first error of `states`, and any error of [`Renderer::render`] as [`Error::Step`].
+    pub fn render_each<T, E: From<Error>>(
+        &mut self,
+        states: impl IntoIterator<Item = Result<(T, SceneState), E>>,
+        mut take: impl FnMut(T, Maps) -> bool,
+    ) -> Result<(), E> {
+        self.discard()?;
+        let (mut states, mut pipeline) = (states.into_iter(), Pipeline::default());
+        let mut begin = |renderer: &mut Self| {
+            let Some((tag, state)) = states.next().transpose()? else { return Ok(None) };
+            renderer.begin(&state).map_err(Error::step(&state.name))?;
+            Ok(Some((tag, state.name)))
+        };
+        loop {
+            let finish = |renderer: &mut Self, (_, name): &(T, String)| {
+                Ok::<_, E>(renderer.finish().map_err(Error::step(name))?)
+            };
+            let Some(((tag, _), maps)) = pipeline.next(self, &mut begin, finish)? else { return Ok(()) };
+            if !take(tag, maps) {
+                return Ok(());
+            }
+        }
+    }
+
     /// Begins rendering the maps of a state; [`Renderer::finish`] returns them. States finish in order, with at most
-    /// [`FRAMES_IN_FLIGHT`] at a time.
+    /// [`FRAMES_IN_FLIGHT`](raster::FRAMES_IN_FLIGHT) at a time.
     ///
     /// # Errors
     /// As [`Renderer::render`]; also fails if too many frames are in flight.
     pub fn begin(&mut self, state: &SceneState) -> Result<(), Error> {
-        let instances = self.clouds.instances(state, &self.selection);
         let pinholes = self.distorter.as_mut().map(|d| d.pinholes(state)).transpose()?;
-        let (drawn, options) =
-            pinholes.as_ref().map_or((state, &*self.conditions), |p| (&p.state, &p.options));
+        self.begin_step(state, pinholes, &self.maps.clone())
+    }
+
+    /// Begins rendering other maps of a state than those that the renderer was created for, without lens distortion.
+    ///
+    /// # Errors
+    /// Fails as [`Renderer::begin`].
+    pub fn begin_with(&mut self, state: &SceneState, options: &MapOptions) -> Result<(), Error> {
+        self.begin_step(state, None, options)
+    }
+
+    fn begin_step(
+        &mut self,
+        state: &SceneState,
+        pinholes: Option<PinholeStep>,
+        MapOptions { conditions, selection }: &MapOptions,
+    ) -> Result<(), Error> {
+        let start = Instant::now();
+        let instances = self.clouds.instances(state, selection);
+        self.rasterizer.stages().add("instances", start.elapsed());
+        let (drawn, options) = pinholes.as_ref().map_or((state, &**conditions), |p| (&p.state, &p.options));
         let step = StepInFlight::new(self.rasterizer.as_mut(), &instances, drawn, options)?;
-        self.in_flight.push_back(InFlight { state: state.clone(), pinholes, step });
+        let (state, conditions) = (state.clone(), Arc::clone(conditions));
+        self.in_flight.push_back(InFlight { state, conditions, pinholes, step });
         Ok(())
     }
 
@@ -146,7 +223,7 @@ impl<'a> Renderer<'a> {
     /// # Errors
     /// Fails if the rasterizer fails, or if no state is in flight.
     pub fn finish(&mut self) -> Result<Maps, Error> {
-        let Some(InFlight { state, pinholes, step }) = self.in_flight.pop_front() else {
+        let Some(InFlight { state, conditions, pinholes, step }) = self.in_flight.pop_front() else {
             return Err(raster::RasterError::NoFrame.into());
         };
         let set = step.finish(self.rasterizer.as_mut())?;
@@ -155,7 +232,17 @@ impl<'a> Renderer<'a> {
             Some(pinholes) => pinholes.distort(set),
             None => set,
         };
-        Ok(Maps { state, set, options: Arc::clone(&self.conditions), distorted })
+        Ok(Maps { state, set, options: conditions, distorted })
+    }
+
+    /// Returns the clouds of a state as instances of the rasterizer.
+    pub fn instances(&self, state: &SceneState) -> SceneInstances {
+        self.clouds.instances(state, &self.maps.selection)
+    }
+
+    /// Returns the number of points of all clouds.
+    pub fn points(&self) -> usize {
+        self.clouds.cloud_set().iter().map(|cloud| cloud.len()).sum()
     }
 
     /// Returns the number of states in flight.
@@ -168,7 +255,11 @@ impl<'a> Renderer<'a> {
         self.rasterizer.as_mut()
     }
 
-    fn discard(&mut self) -> Result<(), Error> {
+    /// Discards frames in flight.
+    ///
+    /// # Errors
+    /// Fails if the rasterizer fails.
+    pub fn discard(&mut self) -> Result<(), Error> {
         while !self.in_flight.is_empty() {
             self.finish()?;
         }

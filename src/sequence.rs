@@ -3,7 +3,7 @@
 //! A step has a folder with maps, contact sheet, `meta.json` and optionally a bird's-eye view; `index.json` is written
 //! last. Another thread writes a step while the next ones are rendered.
 
-use std::sync::mpsc::sync_channel;
+use std::sync::mpsc::{Receiver, SyncSender};
 
 use serde::Serialize;
 
@@ -11,9 +11,8 @@ use crate::conditions::birdseye::{self, BirdseyeOptions};
 use crate::conditions::meta::{Index, IndexFrame, PromptParts};
 use crate::conditions::{DepthBins, MapFormat, sheet};
 use crate::files::OutputFolder;
-use crate::raster::FRAMES_IN_FLIGHT;
+use crate::pipeline::write_beside;
 use crate::scene::SceneSequence;
-use crate::threads::spawn_scoped;
 use crate::{Error, Maps, Renderer};
 
 const INDEX: &str = "index.json";
@@ -69,39 +68,17 @@ impl SequenceWriter<'_> {
         on_step: &mut dyn FnMut(&str),
     ) -> Result<Vec<IndexFrame>, Error> {
         let mut frames = Vec::new();
-        std::thread::scope(|scope| {
-            let (sender, receiver) = sync_channel::<Maps>(1);
-            let write = move || receiver.into_iter().try_for_each(|maps| self.write_step(&maps));
-            let writer = spawn_scoped(scope, "the thread that writes maps", write)?;
-            let (mut states, mut names) = (states.states(), states.names());
-            loop {
-                // The device renders one step while the host processes the previous one.
-                if let Some(state) = states.next() {
-                    let state = state?;
-                    renderer.begin(&state).map_err(Error::step(&state.name))?;
-                    if renderer.in_flight() < FRAMES_IN_FLIGHT {
-                        continue;
-                    }
-                }
-                if renderer.in_flight() == 0 {
-                    break;
-                }
-                let name = names.next().unwrap_or_default();
-                let maps = renderer.finish().map_err(Error::step(&name))?;
+        let write = |maps: Receiver<Maps>| maps.into_iter().try_for_each(|maps| self.write_step(&maps));
+        let render = |sender: SyncSender<Maps>| {
+            let states = states.states().map(|state| Ok::<_, Error>(((), state?)));
+            renderer.render_each(states, |(), maps| {
                 frames.push(IndexFrame::new(&maps.state));
                 on_step(&maps.state.name);
-                if sender.send(maps).is_err() {
-                    // The writer thread has stopped; its result has the error.
-                    break;
-                }
-            }
-            drop(sender);
-            match writer.join() {
-                Ok(result) => result,
-                Err(panic) => std::panic::resume_unwind(panic),
-            }
-        })
-        .map(|()| frames)
+                sender.send(maps).is_ok()
+            })
+        };
+        let (rendered, written) = write_beside("the thread that writes maps", write, render)?;
+        written.and(rendered).map(|()| frames)
     }
 
     fn write_step(&self, maps: &Maps) -> Result<(), Error> {

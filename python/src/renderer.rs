@@ -1,5 +1,6 @@
 use std::sync::{Arc, Mutex, PoisonError};
 
+use point_skeleton::pipeline::Pipeline;
 use point_skeleton::raster::RasterizerDesc;
 use point_skeleton::scene::{SelectionOptions, Substitutes};
 use point_skeleton::{ConditionOptions, MapSet, Maps, RenderOptions};
@@ -14,9 +15,6 @@ use crate::maps::dictionary;
 use crate::pool::detached;
 use crate::scene::Scene;
 use crate::skeleton::Skeleton;
-
-/// Frames in flight: the device renders one while Python uses the maps of the previous one.
-const IN_FLIGHT: usize = 2;
 
 static NO_TEMPLATES: Substitutes = Substitutes::NONE;
 
@@ -161,8 +159,9 @@ impl Renderer {
     fn render_all(slf: Bound<'_, Self>, scenes: &Bound<'_, PyAny>) -> PyResult<Frames> {
         let scenes = scenes.try_iter()?.unbind();
         let (py, renderer) = (slf.py(), slf.get());
+        let discard = |renderer: &mut Borrowing<'_>| renderer.discard().map_err(raise);
         let ((), series) = detached(py, || renderer.with(None, discard))?;
-        Ok(Frames { renderer: slf.unbind(), scenes, series })
+        Ok(Frames { renderer: slf.unbind(), scenes, series, pipeline: Pipeline::default() })
     }
 
     /// Name of the device and its driver.
@@ -251,11 +250,12 @@ impl Renderer {
 }
 
 /// Iterator over the maps of scenes.
-#[pyclass(frozen, module = "pskel")]
+#[pyclass(module = "pskel")]
 pub(crate) struct Frames {
     renderer: Py<Renderer>,
     scenes: Py<PyIterator>,
     series: u64,
+    pipeline: Pipeline<()>,
 }
 
 #[pymethods]
@@ -264,35 +264,23 @@ impl Frames {
         slf
     }
 
-    fn __next__<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyDict>>> {
-        let renderer = self.renderer.get();
-        let count = |renderer: &mut Borrowing<'_>| Ok(renderer.in_flight());
-        let mut in_flight = detached(py, || renderer.with(Some(self.series), count))?.0;
-        while in_flight < IN_FLIGHT {
-            let Some(scene) = self.scenes.bind(py).clone().next() else { break };
-            let scene = scene?;
+    fn __next__<'py>(&mut self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyDict>>> {
+        let (mut renderer, series) = (self.renderer.get(), Some(self.series));
+        let begin = |renderer: &mut &Renderer| {
+            let Some(scene) = self.scenes.bind(py).clone().next().transpose()? else { return Ok(None) };
             let scene = scene.cast::<Scene>()?.get().checked(&renderer.log)?;
-            let begin = |renderer: &mut Borrowing<'_>| {
-                renderer.begin(&scene).map_err(raise)?;
-                Ok(renderer.in_flight())
-            };
-            in_flight = detached(py, || renderer.with(Some(self.series), begin))?.0;
-        }
-        if in_flight == 0 {
-            return Ok(None);
-        }
-        let finish = |renderer: &mut Borrowing<'_>| renderer.finish().map_err(raise);
-        let maps: Maps = detached(py, || renderer.with(Some(self.series), finish))?.0;
-        dictionary(py, maps.cameras()).map(Some)
+            let begin = |renderer: &mut Borrowing<'_>| renderer.begin(&scene).map_err(raise);
+            detached(py, || renderer.with(series, begin)).map(|_| Some(()))
+        };
+        let finish = |renderer: &mut &Renderer, (): &()| {
+            let finish = |renderer: &mut Borrowing<'_>| renderer.finish().map_err(raise);
+            Ok(detached(py, || renderer.with(series, finish))?.0)
+        };
+        // Another call since then has begun another series, also if no frame is left.
+        detached(py, || renderer.with(series, |_| Ok(())))?;
+        let maps: Option<((), Maps)> = self.pipeline.next(&mut renderer, begin, finish)?;
+        maps.map(|((), maps)| dictionary(py, maps.cameras())).transpose()
     }
-}
-
-/// Discards frames in flight.
-fn discard(renderer: &mut Borrowing<'_>) -> PyResult<()> {
-    while renderer.in_flight() > 0 {
-        renderer.finish().map_err(raise)?;
-    }
-    Ok(())
 }
 
 fn closed() -> PyErr {

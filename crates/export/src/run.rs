@@ -1,7 +1,7 @@
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::atomic::{AtomicUsize, Ordering};
-use std::sync::mpsc::sync_channel;
+use std::sync::mpsc::{Receiver, SyncSender};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
@@ -9,7 +9,8 @@ use point_skeleton::conditions::ConditionOptions;
 use point_skeleton::dataset::{Dataset, DatasetError, LogLocator, VectorMap};
 use point_skeleton::error::{FileError, with_causes};
 use point_skeleton::files::{Inputs, is_one_file};
-use point_skeleton::raster::{FRAMES_IN_FLIGHT, RasterizerDesc};
+use point_skeleton::pipeline::write_beside;
+use point_skeleton::raster::RasterizerDesc;
 use point_skeleton::scene::SceneMap;
 use point_skeleton::skeleton::{self, BuildError, Skeleton};
 use point_skeleton::threads::{probe, spawn_scoped};
@@ -294,10 +295,10 @@ fn open_or_build(
 }
 
 /// Renders and writes one shard. Another thread encodes and writes a sample while the next ones are rendered.
-fn export_unit(
+fn export_unit<'a>(
     run: &Export<'_>,
     source: &Source<'_>,
-    sampler: &Sampler<'_>,
+    sampler: &Sampler<'a>,
     renderer: &mut Renderer<'_>,
     unit: &WorkUnit,
 ) -> Result<ShardRecord, ExportError> {
@@ -306,64 +307,34 @@ fn export_unit(
     if let Some(record) = ShardRecord::read(run.out, unit, Some(&source.input), run.verify)? {
         return Ok(record);
     }
+    let write = |receiver: Receiver<(Sample<'a>, Maps)>| -> Result<(Shard, usize), ExportError> {
+        let mut writer = layout::writer(run.options.layout, &shard, source)?;
+        let mut samples = 0;
+        for (sample, maps) in receiver {
+            writer.add(&mut shard, &sample, &maps)?;
+            samples += 1;
+            if sample.is_key {
+                run.progress.frame(shard.name());
+            }
+        }
+        writer.finish(&mut shard)?;
+        Ok((shard, samples))
+    };
     let mut notes = BTreeMap::new();
-    let written = std::thread::scope(|scope| {
-        let (sender, receiver) = sync_channel::<(Sample<'_>, Maps)>(1);
-        let write = move || -> Result<(Shard, usize), ExportError> {
-            let mut writer = layout::writer(run.options.layout, &shard, source)?;
-            let mut samples = 0;
-            for (sample, maps) in receiver {
-                writer.add(&mut shard, &sample, &maps)?;
-                samples += 1;
-                if sample.is_key {
-                    run.progress.frame(shard.name());
-                }
-            }
-            writer.finish(&mut shard)?;
-            Ok((shard, samples))
-        };
-        let writer = spawn_scoped(scope, "the thread that writes a shard", write)?;
-        let rendered = render(sampler, renderer, unit, &mut notes, |sample, maps| {
-            sender.send((sample, maps)).is_ok() && !run.progress.is_stopped()
+    let render = |sender: SyncSender<(Sample<'a>, Maps)>| {
+        let samples = unit.frames.clone().flat_map(|index| sampler.of_frame(index, &mut notes));
+        let states = samples.map(|sample| {
+            let state = sample.state.clone();
+            Ok::<_, ExportError>((sample, state))
         });
-        drop(sender);
-        let written = writer.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic));
-        if run.progress.is_stopped() {
-            return Err(ExportError::Stopped);
-        }
-        rendered.and(written)
-    });
-    let (shard, samples) = written?;
+        renderer.render_each(states, |sample, maps| {
+            sender.send((sample, maps)).is_ok() && !run.progress.is_stopped()
+        })
+    };
+    let (rendered, written) = write_beside("the thread that writes a shard", write, render)?;
+    if run.progress.is_stopped() {
+        return Err(ExportError::Stopped);
+    }
+    let (shard, samples) = rendered.and(written)?;
     Ok(shard.publish(new_record(source, unit, samples, notes))?)
-}
-
-/// Renders the samples of a unit, and passes them on until `take` returns `false`.
-fn render<'a>(
-    sampler: &Sampler<'a>,
-    renderer: &mut Renderer<'_>,
-    unit: &WorkUnit,
-    notes: &mut BTreeMap<String, usize>,
-    mut take: impl FnMut(Sample<'a>, Maps) -> bool,
-) -> Result<(), ExportError> {
-    // Left by a shard that could not be written.
-    while renderer.in_flight() > 0 {
-        renderer.finish()?;
-    }
-    let mut begun = VecDeque::new();
-    let mut samples = unit.frames.clone().flat_map(|index| sampler.of_frame(index, notes));
-    loop {
-        if let Some(sample) = samples.next() {
-            renderer.begin(&sample.state)?;
-            begun.push_back(sample);
-            if renderer.in_flight() < FRAMES_IN_FLIGHT {
-                continue;
-            }
-        }
-        let Some(sample) = begun.pop_front() else { break };
-        let maps = renderer.finish()?;
-        if !take(sample, maps) {
-            break;
-        }
-    }
-    Ok(())
 }

@@ -1,12 +1,10 @@
 use std::sync::Arc;
 
-use point_skeleton::conditions::{
-    ConditionError, ConditionOptions, ConditionSet, FrameCaptions, MapKind, render,
-};
+use point_skeleton::conditions::{ConditionOptions, ConditionSet, FrameCaptions, MapKind};
 use point_skeleton::dataset::Recording;
 use point_skeleton::geometry::Pose;
-use point_skeleton::raster::Rasterizer;
-use point_skeleton::scene::{SceneClouds, SceneMap, SceneState, SelectionOptions};
+use point_skeleton::scene::{SceneMap, SceneState};
+use point_skeleton::{MapOptions, Renderer};
 use pskel_sim::{Committed, Forecast, Instant, Simulation, scene_state};
 
 use super::{DenoiserError, FrameConditions, Recipe};
@@ -15,9 +13,7 @@ use super::{DenoiserError, FrameConditions, Recipe};
 pub struct Conditioner<'a> {
     log: &'a Recording,
     map: Option<Arc<SceneMap>>,
-    scene_clouds: &'a SceneClouds<'a>,
-    options: ConditionOptions,
-    selection: SelectionOptions,
+    maps: MapOptions,
     prompt: String,
     /// Captions by time, in place of the prompt.
     captions: Option<FrameCaptions>,
@@ -39,24 +35,17 @@ pub struct RenderedConditions {
 pub enum ConditionerError {
     /// Error of rendering.
     #[error(transparent)]
-    Drawing(#[from] ConditionError),
+    Rendering(#[from] point_skeleton::Error),
     /// The maps do not fit a network.
     #[error(transparent)]
     Maps(#[from] DenoiserError),
 }
 
 impl<'a> Conditioner<'a> {
-    /// Creates a conditioner for a log, its HD map and its scene clouds.
-    pub fn new(
-        log: &'a Recording,
-        map: Option<Arc<SceneMap>>,
-        scene_clouds: &'a SceneClouds<'a>,
-        recipe: &Recipe,
-        prompt: &str,
-    ) -> Self {
-        let options = recipe.options(map.is_some());
-        let (selection, prompt) = (recipe.selection(), prompt.to_owned());
-        Self { log, map, scene_clouds, options, selection, prompt, captions: None }
+    /// Creates a conditioner for a log and its HD map.
+    pub fn new(log: &'a Recording, map: Option<Arc<SceneMap>>, recipe: &Recipe, prompt: &str) -> Self {
+        let maps = MapOptions::new(recipe.options(map.is_some()), recipe.selection());
+        Self { log, map, maps, prompt: prompt.to_owned(), captions: None }
     }
 
     /// Sets captions by time, in place of the prompt.
@@ -69,13 +58,14 @@ impl<'a> Conditioner<'a> {
     /// Adds map kinds to those that are rendered.
     #[must_use]
     pub fn with_maps(mut self, maps: &[MapKind]) -> Self {
-        self.options.maps = maps.iter().fold(self.options.maps, |all, map| all.with(*map));
+        let options = Arc::make_mut(&mut self.maps.conditions);
+        options.maps = maps.iter().fold(options.maps, |all, map| all.with(*map));
         self
     }
 
     /// Rendering options.
     pub fn options(&self) -> &ConditionOptions {
-        &self.options
+        &self.maps.conditions
     }
 
     /// Renders a committed instant; `before` is the ego pose one frame earlier.
@@ -86,9 +76,9 @@ impl<'a> Conditioner<'a> {
         &self,
         instant: Committed<&Instant>,
         before: Option<Pose>,
-        rasterizer: &mut dyn Rasterizer,
+        renderer: &mut Renderer<'_>,
     ) -> Result<Committed<RenderedConditions>, ConditionerError> {
-        instant.try_map(|instant| self.draw(instant, before, rasterizer))
+        instant.try_map(|instant| self.draw(instant, before, renderer))
     }
 
     /// Renders the forecasts of at most `count` planning steps. They end with the log if the ego replays it.
@@ -99,13 +89,13 @@ impl<'a> Conditioner<'a> {
         &self,
         simulation: &Simulation<'_>,
         count: usize,
-        rasterizer: &mut dyn Rasterizer,
+        renderer: &mut Renderer<'_>,
     ) -> Result<Vec<Forecast<FrameConditions>>, ConditionerError> {
         let expected = simulation.forecast(count);
         let mut before = simulation.committed().get().ego.pose;
         let mut drawn = Vec::new();
         for instant in expected.iter().map(Forecast::get) {
-            drawn.push(Forecast::new(self.draw(instant, Some(before), rasterizer)?.conditions));
+            drawn.push(Forecast::new(self.draw(instant, Some(before), renderer)?.conditions));
             before = instant.ego.pose;
         }
         Ok(drawn)
@@ -115,11 +105,10 @@ impl<'a> Conditioner<'a> {
         &self,
         instant: &Instant,
         before: Option<Pose>,
-        rasterizer: &mut dyn Rasterizer,
+        renderer: &mut Renderer<'_>,
     ) -> Result<RenderedConditions, ConditionerError> {
         let state = scene_state(self.log, instant, self.map.clone());
-        let instances = self.scene_clouds.instances(&state, &self.selection);
-        let set = render(rasterizer, &instances, &state, &self.options)?;
+        let set = renderer.render_with(&state, &self.maps)?.set;
         let prompt =
             self.captions.as_ref().map_or(self.prompt.as_str(), |captions| captions.at(instant.t_us));
         let conditions = FrameConditions::new(&set, &state, before, prompt)?;

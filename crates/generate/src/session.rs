@@ -1,8 +1,8 @@
 use std::time::Instant as Clock;
 
 use image::RgbImage;
+use point_skeleton::Renderer;
 use point_skeleton::geometry::{ImageSize, Pose};
-use point_skeleton::raster::Rasterizer;
 use point_skeleton::scene::{GroundTruthError, GroundTruthImages};
 use pskel_sim::report::images::StepImages;
 use pskel_sim::rollout::{AnyError, GenerationTimes, ImageGenerator, lap};
@@ -112,7 +112,7 @@ impl<'a> Session<'a> {
         frames: usize,
         last: &[Committed<Instant>],
         cache: Option<Cache>,
-        rasterizer: &mut dyn Rasterizer,
+        renderer: &mut Renderer<'_>,
     ) -> Result<(), SessionError> {
         let wrong = |expected: String, found: String| SessionError::Resume { expected, found };
         let (references, window) = (self.parts.options.references(), self.parts.options.window);
@@ -125,7 +125,7 @@ impl<'a> Session<'a> {
         self.before = last.first().filter(|_| begun).map(|before| before.get().ego.pose);
         let mut shown = Vec::new();
         for instant in &last[first..] {
-            let drawn = self.draw(instant.as_ref(), rasterizer)?;
+            let drawn = self.draw(instant.as_ref(), renderer)?;
             if !begun {
                 self.keep(&drawn)?;
             }
@@ -157,7 +157,7 @@ impl<'a> Session<'a> {
     pub fn step(
         &mut self,
         simulation: &Simulation<'_>,
-        rasterizer: &mut dyn Rasterizer,
+        renderer: &mut Renderer<'_>,
     ) -> Result<Option<StepImages>, SessionError> {
         if matches!(self.state, SessionState::Failed) {
             return Err(SessionError::Failed);
@@ -165,7 +165,7 @@ impl<'a> Session<'a> {
         if !simulation.committed().get().step.is_multiple_of(simulation.steps_per_plan()) {
             return Ok(None);
         }
-        let made = self.make(simulation, rasterizer);
+        let made = self.make(simulation, renderer);
         if made.is_err() {
             self.state = SessionState::Failed;
         }
@@ -175,11 +175,11 @@ impl<'a> Session<'a> {
     fn make(
         &mut self,
         simulation: &Simulation<'_>,
-        rasterizer: &mut dyn Rasterizer,
+        renderer: &mut Renderer<'_>,
     ) -> Result<StepImages, SessionError> {
         let mut clock = Clock::now();
         let mut times = GenerationTimes::default();
-        let drawn = self.draw(simulation.committed(), rasterizer)?;
+        let drawn = self.draw(simulation.committed(), renderer)?;
         times.conditions_s = lap(&mut clock);
         let references = self.parts.options.references();
         if matches!(&self.state, SessionState::Warm { kept, .. } if kept.len() < references) {
@@ -192,7 +192,7 @@ impl<'a> Session<'a> {
         let truth = self.has_truth().then(|| self.truth(drawn.get())).transpose()?;
         times.truth_s = lap(&mut clock);
         let count = self.parts.options.forecasts();
-        let forecasts = self.parts.conditioner.forecasts(simulation, count, rasterizer)?;
+        let forecasts = self.parts.conditioner.forecasts(simulation, count, renderer)?;
         times.forecasts_s = lap(&mut clock);
         let conditions = drawn.map(|drawn| drawn.conditions);
         let latent = self.generator()?.step(conditions.clone(), &forecasts)?;
@@ -220,10 +220,10 @@ impl<'a> Session<'a> {
     fn draw(
         &mut self,
         instant: Committed<&Instant>,
-        rasterizer: &mut dyn Rasterizer,
+        renderer: &mut Renderer<'_>,
     ) -> Result<Committed<RenderedConditions>, SessionError> {
         let pose = instant.get().ego.pose;
-        let drawn = self.parts.conditioner.committed(instant, self.before, rasterizer)?;
+        let drawn = self.parts.conditioner.committed(instant, self.before, renderer)?;
         self.before = Some(pose);
         Ok(drawn)
     }
@@ -265,9 +265,9 @@ impl ImageGenerator for Session<'_> {
     fn generate(
         &mut self,
         simulation: &Simulation<'_>,
-        rasterizer: &mut dyn Rasterizer,
+        renderer: &mut Renderer<'_>,
     ) -> Result<Option<StepImages>, AnyError> {
-        Ok(self.step(simulation, rasterizer)?)
+        Ok(self.step(simulation, renderer)?)
     }
 
     fn times(&self) -> GenerationTimes {
@@ -283,10 +283,10 @@ impl ImageGenerator for Session<'_> {
         frames: usize,
         last: &[Committed<Instant>],
         saved: Option<&[u8]>,
-        rasterizer: &mut dyn Rasterizer,
+        renderer: &mut Renderer<'_>,
     ) -> Result<(), AnyError> {
         let cache = saved.map(Cache::from_bytes).transpose()?;
-        Ok(self.resume(frames, last, cache, rasterizer)?)
+        Ok(self.resume(frames, last, cache, renderer)?)
     }
 
     fn window(&self) -> usize {

@@ -9,7 +9,7 @@ use point_skeleton::conditions::tensor::{LAYOUT_CHANNELS, POINT_CHANNELS};
 use point_skeleton::dataset::Recording;
 use point_skeleton::geometry::ImageSize;
 use point_skeleton::memory::{MemoryError, Need, reserve};
-use point_skeleton::scene::{GroundTruthImages, SceneClouds, SceneMap};
+use point_skeleton::scene::{GroundTruthImages, SceneMap};
 use pskel_generate::{
     AnyDenoiser, Codec, Conditioner, DenoiserError, DenoiserRig, GenerateError, GenerateOptions, Guidance,
     ProcessDenoiser, Recipe, SamplerOptions, Session, SessionError, SessionParts, Strategy,
@@ -113,8 +113,6 @@ pub struct GenerationScene<'a> {
     pub log: &'a Recording,
     /// HD map of the log.
     pub map: Option<Arc<SceneMap>>,
-    /// Point clouds of the skeleton.
-    pub clouds: &'a SceneClouds<'a>,
     /// Parts of the prompt.
     pub prompt: &'a PromptParts,
     /// Captions by time, in place of the prompt.
@@ -291,7 +289,7 @@ impl OpenedNetwork {
     /// Fails if codec and network differ in latent shape.
     pub fn session<'a>(self, scene: &GenerationScene<'a>) -> Result<Session<'a>, SessionError> {
         let prompt = scene.prompt.prompt().unwrap_or_default();
-        let conditioner = Conditioner::new(scene.log, scene.map.clone(), scene.clouds, &self.recipe, &prompt)
+        let conditioner = Conditioner::new(scene.log, scene.map.clone(), &self.recipe, &prompt)
             .with_captions(scene.captions.clone());
         let parts = SessionParts {
             conditioner,

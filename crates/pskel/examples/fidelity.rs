@@ -7,12 +7,13 @@
 use std::path::PathBuf;
 
 use clap::Parser;
-use point_skeleton::conditions::{self, ConditionOptions, ImageSize, MapKind, MapSet, reduce};
+use point_skeleton::conditions::{ConditionOptions, ImageSize, MapKind, MapSet, reduce};
 use point_skeleton::dataset::{Dataset, EgoTrack, ImageRecord};
 use point_skeleton::files::FileName;
-use point_skeleton::raster::{Rasterizer, RasterizerKind, create};
-use point_skeleton::scene::{EgoOffset, SceneClouds, SelectionOptions, state_of_frame, state_of_images};
+use point_skeleton::raster::RasterizerKind;
+use point_skeleton::scene::{EgoOffset, Substitutes, state_of_frame, state_of_images};
 use point_skeleton::skeleton::{self, BuildInput, BuildOptions, BuildRun, SplitOptions};
+use point_skeleton::{RenderOptions, Renderer};
 use pskel::logs;
 use pskel_eval::{FilledError, compare_filled};
 
@@ -73,12 +74,19 @@ fn main() -> anyhow::Result<()> {
         kept.len(),
         skeleton.manifest.report
     );
-    let mut rasterizer = create(&args.rasterizer.into(), SceneClouds::clouds(&skeleton)?)?;
-    let clouds = SceneClouds::new(&skeleton, &log.log().name)?;
+    let maps = MapSet::of(&[MapKind::Color]);
+    let render = RenderOptions {
+        conditions: ConditionOptions { maps, size: Some(SIZE), ..ConditionOptions::default() },
+        rasterizer: args.rasterizer.into(),
+        substitutes: &Substitutes::NONE,
+        log: Some(&log.log().name),
+        ..RenderOptions::default()
+    };
+    let mut renderer = Renderer::new(&skeleton, render)?;
     let ego = EgoTrack::new(log.log());
     let mut errors = Vec::new();
     for frame in (1..frames).step_by(2 * args.stride) {
-        errors.extend(compare_frame((log, &ego), frame, &clouds, rasterizer.as_mut(), &args)?);
+        errors.extend(compare_frame((log, &ego), frame, &mut renderer, &args)?);
     }
     report(&log.log().cameras, &errors);
     Ok(())
@@ -105,13 +113,10 @@ fn build_options(args: &Args) -> BuildOptions {
 fn compare_frame(
     (dataset, ego): (&dyn Dataset, &EgoTrack),
     frame: usize,
-    clouds: &SceneClouds<'_>,
-    rasterizer: &mut dyn Rasterizer,
+    renderer: &mut Renderer<'_>,
     args: &Args,
 ) -> anyhow::Result<Vec<(usize, FilledError)>> {
     let log = dataset.log();
-    let maps = MapSet::of(&[MapKind::Color]);
-    let options = ConditionOptions { maps, size: Some(SIZE), ..ConditionOptions::default() };
     let mut errors = Vec::new();
     for record in &log.frames[frame].images {
         let state = if args.frame_time {
@@ -122,9 +127,8 @@ fn compare_frame(
         let Some(mut state) = state else { anyhow::bail!("no pose at {} us, frame {frame}", record.t_us) };
         let name = &log.cameras[record.channel];
         state.cameras.retain(|camera| camera.view.camera.name == *name);
-        let instances = clouds.instances(&state, &SelectionOptions::default());
-        let set = conditions::render(rasterizer, &instances, &state, &options)?;
-        let Some(map) = set.cameras.first().and_then(|maps| maps.color.as_ref()) else {
+        let maps = renderer.render(&state)?;
+        let Some(map) = maps.cameras().first().and_then(|maps| maps.color.as_ref()) else {
             anyhow::bail!("no map of {name}, frame {frame}")
         };
         let truth = truth(dataset, record)?;

@@ -78,7 +78,7 @@ mod tests {
             maps().into(),
             step.into(),
             BenchError::from(raster()).into(),
-            BenchError::Render(maps()).into(),
+            BenchError::Render(maps().into()).into(),
             RolloutError::from(maps()).into(),
         ];
         for error in &errors {

@@ -10,7 +10,7 @@ use point_skeleton::dataset::{Dataset, LogLocator};
 use point_skeleton::error::FileError;
 use point_skeleton::files::{Inputs, OutputFile};
 use point_skeleton::raster::SplatSchedule;
-use point_skeleton::scene::SceneClouds;
+use point_skeleton::{RenderOptions, Renderer};
 use pskel_eval::{FidelityFiles, POSES, fidelity};
 
 use super::log_args;
@@ -81,8 +81,13 @@ pub(super) fn run(args: &FidelityArgs) -> anyhow::Result<()> {
     let skeleton = skeletons::open_for(&args.skeleton, log)?;
     let frames = FrameRange::of(args.frames, log.frames.len())?;
     let (substitutes, _) = args.stand_ins.options().make(&skeleton, &log.name)?;
-    let clouds = SceneClouds::with(&skeleton, &log.name, &substitutes)?;
-    let mut rasterizer = args.rasterizer.create(clouds.cloud_set())?;
+    let render = RenderOptions {
+        rasterizer: args.rasterizer.desc()?,
+        substitutes: &substitutes,
+        log: Some(&log.name),
+        ..RenderOptions::default()
+    };
+    let mut renderer = Renderer::new(&skeleton, render)?;
     let options = ConditionOptions {
         splat: args.splat.clone(),
         size: args.size,
@@ -91,7 +96,7 @@ pub(super) fn run(args: &FidelityArgs) -> anyhow::Result<()> {
     };
     let mut progress = Progress::new(POSES * frames.len());
     let mut on_step = |name: &str| progress.step(name);
-    let report = fidelity(&town, &clouds, rasterizer.as_mut(), frames, options, &mut on_step)?;
+    let report = fidelity(&town, &mut renderer, frames, options, &mut on_step)?;
     drop(progress);
     json.map_or(Ok(()), |file| file.write_json(&report))?;
     write_text(csv, &report.csv())?;

@@ -1,6 +1,5 @@
 use point_skeleton::dataset::DatasetError;
 use point_skeleton::error::FileError;
-use point_skeleton::raster::RasterError;
 use point_skeleton::scene::GroundTruthError;
 use point_skeleton::skeleton::BuildError;
 use pskel_generate::{ConditionerError, DenoiserError, GenerateError};
@@ -35,9 +34,9 @@ pub enum AblateError {
     /// The skeleton cannot be built.
     #[error("{0}")]
     Skeleton(#[from] BuildError),
-    /// The rasterizer cannot be created.
+    /// The renderer cannot be created.
     #[error("{0}")]
-    Raster(#[from] RasterError),
+    Render(#[from] point_skeleton::Error),
     /// The simulation failed.
     #[error("{0}")]
     Simulation(#[from] SimError),

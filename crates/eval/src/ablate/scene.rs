@@ -5,9 +5,10 @@ use std::path::Path;
 use image::RgbImage;
 use point_skeleton::conditions::{CameraConditions, ConditionSet, MapKind};
 use point_skeleton::dataset::{Dataset, Recording};
-use point_skeleton::raster::{self, Rasterizer, RasterizerDesc};
-use point_skeleton::scene::{GroundTruthImages, SceneClouds, SceneMap, SubstituteOptions};
+use point_skeleton::raster::RasterizerDesc;
+use point_skeleton::scene::{GroundTruthImages, SceneMap, SubstituteOptions};
 use point_skeleton::skeleton;
+use point_skeleton::{RenderOptions, Renderer};
 use pskel_generate::{Conditioner, FrameConditions, Recipe, RenderedConditions};
 use pskel_sim::{
     ActorPolicy, Committed, EgoPolicy, Forecast, Instant, Rates, Scenario, SimOptions, Simulation,
@@ -66,15 +67,20 @@ impl Scene {
         let log = dataset.log();
         let (substitutes, _) =
             SubstituteOptions::augmented(options.study.augment).make(&skeleton, &log.name)?;
-        let clouds = SceneClouds::with(&skeleton, &log.name, &substitutes)?;
-        let mut rasterizer = raster::create(options.rasterizer, clouds.cloud_set())?;
+        let render = RenderOptions {
+            rasterizer: options.rasterizer.clone(),
+            substitutes: &substitutes,
+            log: Some(&log.name),
+            ..RenderOptions::default()
+        };
+        let mut renderer = Renderer::new(&skeleton, render)?;
         let map = SceneMap::read(dataset)?;
         let scenario = Scenario { log, map: map.clone(), rates: Rates::default() };
-        let conditioner = Conditioner::new(log, map, &clouds, options.recipe, "")
-            .with_maps(&[MapKind::Class, MapKind::Instance]);
+        let conditioner =
+            Conditioner::new(log, map, options.recipe, "").with_maps(&[MapKind::Class, MapKind::Instance]);
         let simulation = Simulation::new(&scenario, sim_options(options, ego_of(dataset)))?;
         let drive = Drive { dataset, conditioner: &conditioner, options };
-        let frames = drive.frames(simulation, rasterizer.as_mut())?;
+        let frames = drive.frames(simulation, &mut renderer)?;
         let classifiers = classifiers(&frames[options.references..], options.study.seed)?;
         Ok(Self { name: name.to_owned(), frames, classifiers })
     }
@@ -126,16 +132,15 @@ impl Drive<'_> {
     fn frames(
         &self,
         mut simulation: Simulation<'_>,
-        rasterizer: &mut dyn Rasterizer,
+        renderer: &mut Renderer<'_>,
     ) -> Result<Vec<SceneFrame>, AblateError> {
         let count = self.options.count();
         let (mut frames, mut before, mut first_us) = (Vec::new(), None, None);
         while frames.len() < count {
             let instant = (*simulation.committed().get()).clone();
             if instant.step.is_multiple_of(simulation.steps_per_plan()) {
-                let drawn = self.conditioner.committed(simulation.committed(), before, rasterizer)?;
-                let forecasts =
-                    self.conditioner.forecasts(&simulation, self.options.references, rasterizer)?;
+                let drawn = self.conditioner.committed(simulation.committed(), before, renderer)?;
+                let forecasts = self.conditioner.forecasts(&simulation, self.options.references, renderer)?;
                 let t_s = (instant.t_us - *first_us.get_or_insert(instant.t_us)) as f64 / 1e6;
                 frames.push(self.frame(drawn, forecasts, &instant, t_s)?);
                 before = Some(instant.ego.pose);

@@ -1,9 +1,7 @@
-use std::collections::VecDeque;
-use std::time::Instant;
-
-use point_skeleton::conditions::{ConditionError, ConditionOptions, ConditionSet, MapKind, StepInFlight};
-use point_skeleton::raster::{FrameJob, FrameMaps, RasterError, Rasterizer};
-use point_skeleton::scene::{SceneClouds, SceneState, SelectionOptions};
+use point_skeleton::conditions::{ConditionSet, MapKind};
+use point_skeleton::raster::{FrameJob, FrameMaps, Rasterizer};
+use point_skeleton::scene::SceneState;
+use point_skeleton::{Error, Renderer};
 
 /// Frames to render in turn.
 pub(super) trait Frames {
@@ -14,10 +12,13 @@ pub(super) trait Frames {
     fn have_depth(&self) -> bool;
 
     /// Begins a frame.
-    fn begin(&mut self, rasterizer: &mut dyn Rasterizer, frame: usize) -> Result<(), ConditionError>;
+    fn begin(&mut self, frame: usize) -> Result<(), Error>;
 
     /// Finishes the oldest begun frame.
-    fn finish<'r>(&mut self, rasterizer: &'r mut dyn Rasterizer) -> Result<Drawn<'r>, ConditionError>;
+    fn finish(&mut self) -> Result<Drawn<'_>, Error>;
+
+    /// Returns the rasterizer, for stage times and device information.
+    fn rasterizer(&mut self) -> &mut dyn Rasterizer;
 }
 
 /// Output of a finished frame.
@@ -42,63 +43,58 @@ impl Drawn<'_> {
 }
 
 /// Jobs that run only the rasterizer.
-pub(super) struct Jobs<'a>(pub(super) Vec<FrameJob<'a>>);
+pub(super) struct Jobs<'a> {
+    pub(super) rasterizer: &'a mut dyn Rasterizer,
+    pub(super) jobs: Vec<FrameJob<'a>>,
+}
 
 impl Frames for Jobs<'_> {
     fn count(&self) -> usize {
-        self.0.len()
+        self.jobs.len()
     }
 
     fn have_depth(&self) -> bool {
-        self.0.iter().all(|job| job.maps.contains(MapKind::Depth))
+        self.jobs.iter().all(|job| job.maps.contains(MapKind::Depth))
     }
 
-    fn begin(&mut self, rasterizer: &mut dyn Rasterizer, frame: usize) -> Result<(), ConditionError> {
-        Ok(rasterizer.begin(&self.0[frame])?)
+    fn begin(&mut self, frame: usize) -> Result<(), Error> {
+        Ok(self.rasterizer.begin(&self.jobs[frame])?)
     }
 
-    fn finish<'r>(&mut self, rasterizer: &'r mut dyn Rasterizer) -> Result<Drawn<'r>, ConditionError> {
-        Ok(Drawn::Maps(rasterizer.finish()?))
+    fn finish(&mut self) -> Result<Drawn<'_>, Error> {
+        Ok(Drawn::Maps(self.rasterizer.finish()?))
+    }
+
+    fn rasterizer(&mut self) -> &mut dyn Rasterizer {
+        self.rasterizer
     }
 }
 
 /// Whole steps of a recording: instance selection, rendering, layouts, and the final maps.
-pub(super) struct Steps<'a> {
-    scene_clouds: SceneClouds<'a>,
-    states: Vec<&'a SceneState>,
-    options: ConditionOptions,
-    begun: VecDeque<StepInFlight>,
+pub(super) struct Steps<'a, 'r> {
+    pub(super) renderer: &'a mut Renderer<'r>,
+    pub(super) states: Vec<&'a SceneState>,
+    pub(super) have_depth: bool,
 }
 
-impl<'a> Steps<'a> {
-    pub(super) fn new(
-        scene_clouds: SceneClouds<'a>,
-        states: Vec<&'a SceneState>,
-        options: ConditionOptions,
-    ) -> Self {
-        Self { scene_clouds, states, options, begun: VecDeque::new() }
-    }
-}
-
-impl Frames for Steps<'_> {
+impl Frames for Steps<'_, '_> {
     fn count(&self) -> usize {
         self.states.len()
     }
 
     fn have_depth(&self) -> bool {
-        self.options.maps.contains(MapKind::Depth)
+        self.have_depth
     }
 
-    fn begin(&mut self, rasterizer: &mut dyn Rasterizer, frame: usize) -> Result<(), ConditionError> {
-        let (state, start) = (self.states[frame], Instant::now());
-        let clouds = self.scene_clouds.instances(state, &SelectionOptions::default());
-        rasterizer.stages().add("instances", start.elapsed());
-        self.begun.push_back(StepInFlight::new(rasterizer, &clouds, state, &self.options)?);
-        Ok(())
+    fn begin(&mut self, frame: usize) -> Result<(), Error> {
+        self.renderer.begin(self.states[frame])
     }
 
-    fn finish<'r>(&mut self, rasterizer: &'r mut dyn Rasterizer) -> Result<Drawn<'r>, ConditionError> {
-        let begun = self.begun.pop_front().ok_or(RasterError::NoFrame)?;
-        Ok(Drawn::Step(begun.finish(rasterizer)?))
+    fn finish(&mut self) -> Result<Drawn<'_>, Error> {
+        Ok(Drawn::Step(self.renderer.finish()?.set))
+    }
+
+    fn rasterizer(&mut self) -> &mut dyn Rasterizer {
+        self.renderer.rasterizer()
     }
 }

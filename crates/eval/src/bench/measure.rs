@@ -1,8 +1,8 @@
-use std::collections::VecDeque;
 use std::time::{Duration, Instant};
 
-use point_skeleton::conditions::ConditionError;
-use point_skeleton::raster::{Rasterizer, StageTimes};
+use point_skeleton::Error;
+use point_skeleton::pipeline::Pipeline;
+use point_skeleton::raster::StageTimes;
 
 use super::frames::Frames;
 
@@ -52,60 +52,44 @@ pub(super) struct Measured {
     pub(super) filled: Option<u64>,
 }
 
-/// Begun but unfinished frames, with their begin times.
-struct Pipe<'a> {
-    frames: &'a mut dyn Frames,
-    plan: &'a Plan,
-    clock: Instant,
-    next: usize,
-    begun: VecDeque<Duration>,
-}
-
-impl Pipe<'_> {
-    fn begin(&mut self, rasterizer: &mut dyn Rasterizer) -> Result<(), ConditionError> {
-        let frame = self.plan.job_of(self.next, self.frames.count());
-        self.begun.push_back(self.clock.elapsed());
-        self.next += 1;
-        self.frames.begin(rasterizer, frame)
-    }
-}
-
 /// Renders frames in turn and times them. With several frames in flight, their number is the same at the first and at
 /// the last timed frame: every interval contains one begin and one end. `on_frame` is called with each finished
 /// frame.
-pub(super) fn measure(
-    rasterizer: &mut dyn Rasterizer,
-    frames: &mut dyn Frames,
+pub(super) fn measure<F: Frames + ?Sized>(
+    frames: &mut F,
     plan: &Plan,
     on_frame: &mut dyn FnMut(usize),
-) -> Result<Measured, ConditionError> {
-    let mut pipe = Pipe { frames, plan, clock: Instant::now(), next: 0, begun: VecDeque::new() };
+) -> Result<Measured, Error> {
+    let (count, have_depth, clock) = (frames.count(), frames.have_depth(), Instant::now());
     let mut measured = Measured::default();
-    rasterizer.take_stages(); // set-up and upload are not part of a frame
-    for _ in 1..plan.in_flight {
-        pipe.begin(rasterizer)?;
-    }
-    let mut ended = pipe.clock.elapsed();
+    let mut pipeline = Pipeline::with_depth(plan.in_flight);
+    // The last ones only keep the device busy.
+    let mut jobs = (0..plan.frames() + plan.in_flight - 1).map(|frame| plan.job_of(frame, count));
+    let mut begin = |frames: &mut F| {
+        let Some(job) = jobs.next() else { return Ok(None) };
+        let begun = clock.elapsed();
+        frames.begin(job)?;
+        Ok::<_, Error>(Some(begun))
+    };
+    frames.rasterizer().take_stages(); // set-up and upload are not part of a frame
+    let mut ended = clock.elapsed();
     for frame in 0..plan.frames() {
-        let from = if plan.in_flight > 1 { ended } else { pipe.clock.elapsed() };
-        pipe.begin(rasterizer)?;
-        let drawn = pipe.frames.finish(rasterizer)?;
-        ended = pipe.clock.elapsed();
-        if frame + 1 == plan.frames() && pipe.frames.have_depth() {
-            measured.filled = Some(drawn.filled());
-        }
-        drop(drawn);
-        let stages = rasterizer.take_stages();
-        let begun = pipe.begun.pop_front().unwrap_or(from);
+        let from = if plan.in_flight > 1 { ended } else { clock.elapsed() };
+        let is_last = frame + 1 == plan.frames();
+        let finish = |frames: &mut F, _: &Duration| {
+            let drawn = frames.finish()?;
+            Ok((clock.elapsed(), (is_last && have_depth).then(|| drawn.filled())))
+        };
+        let Some((begun, (finished, filled))) = pipeline.next(frames, &mut begin, finish)? else { break };
+        (ended, measured.filled) = (finished, filled);
+        let stages = frames.rasterizer().take_stages();
         if frame >= plan.warm_up {
-            let index = plan.job_of(frame, pipe.frames.count());
-            measured.frames.push(TimedFrame { index, begun, finished: ended, took: ended - from, stages });
+            let index = plan.job_of(frame, count);
+            measured.frames.push(TimedFrame { index, begun, finished, took: finished - from, stages });
         }
         on_frame(frame);
     }
-    for _ in 1..plan.in_flight {
-        pipe.frames.finish(rasterizer)?;
-    }
+    while pipeline.next(frames, &mut begin, |frames: &mut F, _| frames.finish().map(drop))?.is_some() {}
     if let Some(first) = measured.frames.first().map(|frame| frame.begun) {
         for frame in &mut measured.frames {
             frame.begun -= first;
@@ -121,9 +105,10 @@ mod tests {
     use super::*;
     use point_skeleton::geometry::ImageSize;
     use point_skeleton::raster::{
-        FrameJob, FrameMaps, MapSet, Occlusion, RasterError, RasterizerInfo, SplatJob, SplatMaps,
+        FrameJob, FrameMaps, MapSet, Occlusion, RasterError, Rasterizer, RasterizerInfo, SplatJob, SplatMaps,
         SplatSchedule, ViewMaps,
     };
+    use std::collections::VecDeque;
 
     /// Takes a millisecond per frame, half of it in `begin`, and logs the calls.
     #[derive(Default)]
@@ -194,9 +179,8 @@ mod tests {
         let mut fake = Fake::default();
         fake.stages.add("upload", HALF);
         let mut heard = Vec::new();
-        let measured =
-            measure(&mut fake, &mut Jobs(vec![job(1), job(2)]), &plan, &mut |frame| heard.push(frame))
-                .unwrap();
+        let mut jobs = Jobs { rasterizer: &mut fake, jobs: vec![job(1), job(2)] };
+        let measured = measure(&mut jobs, &plan, &mut |frame| heard.push(frame)).unwrap();
         assert_eq!(heard, (0..plan.frames()).collect::<Vec<_>>());
         (measured, fake.diary.trim().to_owned(), fake.in_flight.len())
     }

@@ -19,10 +19,14 @@ pub use result::{BenchResult, Spread};
 pub use trace::TRACE;
 pub use workload::Workload;
 
+use point_skeleton::conditions::MapKind;
 use point_skeleton::raster;
+use point_skeleton::scene::SceneInstances;
+use point_skeleton::{RenderOptions, Renderer};
 
-use self::frames::{Frames, Jobs};
+use self::frames::{Frames, Jobs, Steps};
 use self::measure::{Plan, measure};
+use self::workload::Content;
 
 /// Renders the frames of a workload and times them. Calls `on_frame` with the name of each finished frame.
 ///
@@ -35,9 +39,6 @@ pub fn bench(
     on_frame: &mut dyn FnMut(&str),
 ) -> Result<BenchResult, BenchError> {
     let workload = workload.resized(options.conditions.size);
-    let clouds = workload.clouds()?;
-    let points: usize = clouds.iter().map(|cloud| cloud.len()).sum();
-    let mut rasterizer = raster::create(&options.rasterizer, clouds)?;
     let count = workload.frames.len();
     let BenchOptions { warm_up, repeat, in_flight, .. } = *options;
     let plan = Plan { warm_up, timed: repeat * count, in_flight };
@@ -45,11 +46,38 @@ pub fn bench(
         true => on_frame("warm-up"),
         false => on_frame(&workload.frames[plan.job_of(frame, count)].name),
     };
-    let mut frames: Box<dyn Frames> = match workload.steps(&options.conditions)? {
-        Some(steps) => Box::new(steps),
-        None => Box::new(Jobs(workload.jobs(&options.conditions))),
+    let mut run = |points, frames: &mut dyn Frames| {
+        let measured = measure(frames, &plan, &mut on_frame).map_err(BenchError::Render)?;
+        Ok(BenchResult::new(&workload, points, options, frames.rasterizer().info(), measured))
     };
-    let measured =
-        measure(rasterizer.as_mut(), frames.as_mut(), &plan, &mut on_frame).map_err(BenchError::Render)?;
-    Ok(BenchResult::new(&workload, points, options, rasterizer.info(), measured))
+    let conditions = &options.conditions;
+    match &workload.content {
+        Content::Cloud(points, placed) => {
+            let mut rasterizer = raster::create(&options.rasterizer, vec![points])?;
+            let jobs = workload.jobs(std::slice::from_ref(placed), conditions);
+            run(points.len(), &mut Jobs { rasterizer: rasterizer.as_mut(), jobs })
+        }
+        Content::Log(content, log) => {
+            let (skeleton, substitutes) = &**content;
+            let mut renderer = Renderer::new(
+                skeleton,
+                RenderOptions {
+                    conditions: conditions.clone(),
+                    rasterizer: options.rasterizer.clone(),
+                    substitutes,
+                    log: Some(log),
+                    ..RenderOptions::default()
+                },
+            )
+            .map_err(BenchError::Render)?;
+            let (points, states) = (renderer.points(), workload.states());
+            if BenchOptions::has_whole_steps(conditions.maps) {
+                let have_depth = conditions.maps.contains(MapKind::Depth);
+                return run(points, &mut Steps { renderer: &mut renderer, states, have_depth });
+            }
+            let placed: Vec<SceneInstances> = states.iter().map(|state| renderer.instances(state)).collect();
+            let jobs = workload.jobs(&placed, conditions);
+            run(points, &mut Jobs { rasterizer: renderer.rasterizer(), jobs })
+        }
+    }
 }

@@ -1,4 +1,4 @@
-use point_skeleton::conditions::{ConditionError, ConditionOptions, MapKind, MapSet};
+use point_skeleton::conditions::{ConditionOptions, MapKind, MapSet};
 use point_skeleton::dataset::DatasetError;
 use point_skeleton::error::FileError;
 use point_skeleton::raster::{RasterError, RasterizerDesc};
@@ -51,9 +51,9 @@ pub enum BenchError {
         /// Number of frames.
         frames: usize,
     },
-    /// A frame cannot be rendered.
+    /// The renderer cannot be created, or a frame cannot be rendered.
     #[error("cannot draw the frames")]
-    Render(#[source] ConditionError),
+    Render(#[source] point_skeleton::Error),
 }
 
 #[cfg(test)]

@@ -5,22 +5,17 @@ use point_skeleton::cloud::street;
 use point_skeleton::cloud::{Point, PointFile};
 use point_skeleton::conditions::{ConditionOptions, ImageSize, MapKind, MapSet};
 use point_skeleton::dataset::{Dataset, Recording};
-use point_skeleton::error::FileError;
 use point_skeleton::geometry::View;
 use point_skeleton::memory::{MemoryError, Need, reserve};
-use point_skeleton::raster::{CloudSet, Crop, FrameJob, Instance, Occlusion};
-use point_skeleton::scene::{
-    EgoOffset, SceneClouds, SceneInstances, SceneMap, SceneState, SelectionOptions, Substitutes,
-    state_of_frame,
-};
+use point_skeleton::raster::{Crop, FrameJob, Instance, Occlusion};
+use point_skeleton::scene::{EgoOffset, SceneInstances, SceneMap, SceneState, Substitutes, state_of_frame};
 use point_skeleton::skeleton::Skeleton;
 
-use super::frames::Steps;
-use super::options::{BenchError, BenchOptions};
+use super::options::BenchError;
 
 /// Clouds and frames to render.
 pub struct Workload {
-    clouds: Clouds,
+    pub(super) content: Content,
     /// At least one.
     pub(super) frames: Vec<WorkFrame>,
     /// Number of points that are never rendered because they are not finite.
@@ -28,17 +23,18 @@ pub struct Workload {
     skipped: usize,
 }
 
-enum Clouds {
-    One(Vec<Point>),
+/// Points of a workload.
+pub(super) enum Content {
+    /// A cloud, and its place in the world.
+    Cloud(Vec<Point>, SceneInstances),
     /// Skeleton, its substitutes, and name of the log.
-    Skeleton(Box<(Skeleton, Substitutes)>, String),
+    Log(Box<(Skeleton, Substitutes)>, String),
 }
 
-/// One frame: placed clouds and rendered cameras.
+/// Cameras of one frame.
 pub(super) struct WorkFrame {
     pub(super) name: String,
     pub(super) views: Vec<View>,
-    clouds: SceneInstances,
     crop: Option<Crop>,
     /// State of a log's frame.
     state: Option<SceneState>,
@@ -61,18 +57,18 @@ impl Workload {
     /// Creates a workload of one frame: a cloud and cameras.
     pub fn cloud(cloud: PointFile, views: Vec<View>) -> Self {
         let instance = Instance { cloud: 0, world_from_local: cloud.world_from_local(), number: 0 };
-        let clouds = SceneInstances { color: vec![instance], geometry: vec![instance] };
-        let frame = WorkFrame { name: "frame".into(), views, clouds, crop: None, state: None };
+        let placed = SceneInstances { color: vec![instance], geometry: vec![instance] };
+        let frame = WorkFrame { name: "frame".into(), views, crop: None, state: None };
         let non_finite = cloud.non_finite;
-        Self { clouds: Clouds::One(cloud.points), frames: vec![frame], non_finite, skipped: 0 }
+        let content = Content::Cloud(cloud.points, placed);
+        Self { content, frames: vec![frame], non_finite, skipped: 0 }
     }
 
     /// Creates a workload of the frames of a log that have cameras. `skeleton` was built from the log, `substitutes`
     /// supplement its clouds. The HD map is read if the maps need it.
     ///
     /// # Errors
-    /// Fails if no frame has cameras, if the HD map is damaged, or if points of the skeleton do not match their
-    /// checksum.
+    /// Fails if no frame has cameras, or if the HD map is damaged.
     pub fn log(
         dataset: &dyn Dataset,
         skeleton: Skeleton,
@@ -83,14 +79,13 @@ impl Workload {
         let (log, count) = (dataset.log(), range.len());
         let with_map = maps.contains(MapKind::Map) || maps.contains(MapKind::Tensor);
         let map = if with_map { SceneMap::read(dataset)? } else { None };
-        let content = Box::new((skeleton, substitutes));
-        let frames = frames_of_log(log, &scene_clouds(&content, &log.name)?, range, map.as_ref());
+        let frames = frames_of_log(log, range, map.as_ref());
         if frames.is_empty() {
             return Err(BenchError::NoCameras { log: log.shown_name().into_owned(), frames: count });
         }
         let skipped = count - frames.len();
-        let clouds = Clouds::Skeleton(content, log.name.clone());
-        Ok(Self { clouds, frames, non_finite: 0, skipped })
+        let content = Content::Log(Box::new((skeleton, substitutes)), log.name.clone());
+        Ok(Self { content, frames, non_finite: 0, skipped })
     }
 
     /// Returns the number of frames; at least one.
@@ -113,41 +108,28 @@ impl Workload {
         self
     }
 
-    /// Returns all clouds for a rasterizer.
-    ///
-    /// # Errors
-    /// Fails if points of a skeleton do not match their checksum.
-    pub(super) fn clouds(&self) -> Result<CloudSet<'_>, FileError> {
-        match &self.clouds {
-            Clouds::One(points) => Ok(vec![points]),
-            Clouds::Skeleton(skeleton, log) => Ok(scene_clouds(skeleton, log)?.cloud_set()),
-        }
-    }
-
-    /// Returns the frames as rasterizer jobs.
-    pub(super) fn jobs<'a>(&'a self, options: &'a ConditionOptions) -> Vec<FrameJob<'a>> {
-        let job = |frame: &'a WorkFrame| FrameJob {
+    /// Returns the frames as rasterizer jobs, with the clouds of each frame.
+    pub(super) fn jobs<'a>(
+        &'a self,
+        placed: &'a [SceneInstances],
+        options: &'a ConditionOptions,
+    ) -> Vec<FrameJob<'a>> {
+        let job = |(frame, placed): (&'a WorkFrame, &'a SceneInstances)| FrameJob {
             views: &frame.views,
             schedule: &options.splat,
-            color: &frame.clouds.color,
-            geometry: &frame.clouds.geometry,
+            color: &placed.color,
+            geometry: &placed.geometry,
             occlusion: Occlusion::default(),
             crop: frame.crop,
             maps: options.maps,
             out_size: options.out_size,
         };
-        self.frames.iter().map(job).collect()
+        self.frames.iter().zip(placed).map(job).collect()
     }
 
-    /// Returns the frames as whole steps, if the options ask for them.
-    ///
-    /// # Errors
-    /// Fails if points of the skeleton do not match their checksum.
-    pub(super) fn steps<'a>(&'a self, options: &ConditionOptions) -> Result<Option<Steps<'a>>, FileError> {
-        let Clouds::Skeleton(skeleton, log) = &self.clouds else { return Ok(None) };
-        let states = self.frames.iter().filter_map(|frame| frame.state.as_ref()).collect();
-        let steps = || Ok(Steps::new(scene_clouds(skeleton, log)?, states, options.clone()));
-        BenchOptions::has_whole_steps(options.maps).then(steps).transpose()
+    /// Returns the states of a log's frames.
+    pub(super) fn states(&self) -> Vec<&SceneState> {
+        self.frames.iter().filter_map(|frame| frame.state.as_ref()).collect()
     }
 
     /// Returns the maximum number of cameras in a frame.
@@ -168,29 +150,15 @@ impl Workload {
     }
 }
 
-fn scene_clouds<'a>(
-    (skeleton, substitutes): &'a (Skeleton, Substitutes),
-    log: &str,
-) -> Result<SceneClouds<'a>, FileError> {
-    SceneClouds::with(skeleton, log, substitutes)
-}
-
 /// Returns the frames of a log; frames without cameras are skipped.
-fn frames_of_log(
-    log: &Recording,
-    scene_clouds: &SceneClouds<'_>,
-    range: Range<usize>,
-    map: Option<&Arc<SceneMap>>,
-) -> Vec<WorkFrame> {
-    let selection = SelectionOptions::default();
+fn frames_of_log(log: &Recording, range: Range<usize>, map: Option<&Arc<SceneMap>>) -> Vec<WorkFrame> {
     let radius_m = ConditionOptions::default().radius_m;
     let frame = |index: usize| {
         let mut state = state_of_frame(log, index, EgoOffset::default())?;
         state.map = map.cloned();
-        let clouds = scene_clouds.instances(&state, &selection);
         let crop = Some(Crop { center: state.global_from_ego.translation.truncate(), radius_m });
         let views = state.cameras.iter().map(|camera| camera.view.clone()).collect();
-        Some(WorkFrame { name: state.name.clone(), views, clouds, crop, state: Some(state) })
+        Some(WorkFrame { name: state.name.clone(), views, crop, state: Some(state) })
     };
     range.filter_map(frame).filter(|frame: &WorkFrame| !frame.views.is_empty()).collect()
 }

@@ -1,4 +1,3 @@
-use point_skeleton::conditions::ConditionError;
 use point_skeleton::dataset::DatasetError;
 use pskel_town::TownError;
 
@@ -21,5 +20,5 @@ pub enum FidelityError {
     Town(#[from] TownError),
     /// The maps cannot be rendered.
     #[error("{0}")]
-    Maps(#[from] ConditionError),
+    Maps(#[from] point_skeleton::Error),
 }

@@ -2,13 +2,11 @@ use std::collections::BTreeMap;
 
 use crate::{DepthErrors, DepthSummary, FilledError, Overlap, compare_filled};
 use glam::{DVec2, DVec3};
-use point_skeleton::conditions::{
-    self, CameraConditions, ConditionOptions, ImageSize, MapKind, MapSet, reduce,
-};
+use point_skeleton::conditions::{CameraConditions, ConditionOptions, ImageSize, MapKind, MapSet, reduce};
 use point_skeleton::dataset::{Area, Class, Dataset, VectorMap};
 use point_skeleton::geometry::View;
-use point_skeleton::raster::Rasterizer;
-use point_skeleton::scene::{EgoOffset, SceneClouds, SceneState, SelectionOptions, state_of_frame};
+use point_skeleton::scene::{EgoOffset, SceneState, SelectionOptions, state_of_frame};
+use point_skeleton::{MapOptions, Renderer};
 use pskel_town::Town;
 use pskel_town::view::GroundTruthView;
 use serde::Serialize;
@@ -32,7 +30,6 @@ pub(super) enum Pose {
 /// Inputs for measuring a row of the table.
 pub(super) struct Measurement<'a> {
     pub(super) town: &'a Town,
-    pub(super) clouds: &'a SceneClouds<'a>,
     pub(super) options: ConditionOptions,
     pub(super) map: Option<&'a VectorMap>,
 }
@@ -211,7 +208,7 @@ impl Measurement<'_> {
     /// Adds a frame's images to a row.
     pub(super) fn add(
         &self,
-        rasterizer: &mut dyn Rasterizer,
+        renderer: &mut Renderer<'_>,
         frame: usize,
         row: &mut Measured,
     ) -> Result<(), FidelityError> {
@@ -232,8 +229,7 @@ impl Measurement<'_> {
             let of_masks = MapSet::of(&[MapKind::Class, MapKind::Instance]);
             let maps = if masks == Masks::Rendered { self.options.maps } else { of_masks };
             let options = ConditionOptions { maps, ..self.options.clone() };
-            let instances = self.clouds.instances(&state, &masks.selection());
-            let set = conditions::render(rasterizer, &instances, &state, &options)?;
+            let set = renderer.render_with(&state, &MapOptions::new(options, masks.selection()))?.set;
             for (map, truth) in set.cameras.iter().zip(&truth) {
                 sums.add(map, truth, &near);
                 if let Some(color) = &map.color {

@@ -11,10 +11,9 @@ pub use table::FidelityFiles;
 
 use std::ops::Range;
 
+use point_skeleton::Renderer;
 use point_skeleton::conditions::{ConditionOptions, MapKind, MapSet};
 use point_skeleton::dataset::Dataset;
-use point_skeleton::raster::Rasterizer;
-use point_skeleton::scene::SceneClouds;
 use pskel_town::Town;
 use serde::Serialize;
 
@@ -35,15 +34,14 @@ pub struct FidelityReport {
 /// Number of poses at which every frame is compared.
 pub const POSES: usize = Pose::ALL.len();
 
-/// Compares the maps of frames at all poses. `options` set splat radii and sizes; `on_step` is called with a name after
+/// Compares the maps of frames at all poses. `renderer` is of the town's skeleton; `options` set splat radii and sizes; `on_step` is called with a name after
 /// each frame of each pose.
 ///
 /// # Errors
 /// Fails if the log has no such frame, or if maps or ground truth cannot be rendered.
 pub fn fidelity(
     town: &Town,
-    clouds: &SceneClouds<'_>,
-    rasterizer: &mut dyn Rasterizer,
+    renderer: &mut Renderer<'_>,
     frames: Range<usize>,
     options: ConditionOptions,
     on_step: &mut dyn FnMut(&str),
@@ -51,12 +49,12 @@ pub fn fidelity(
     let maps = MapSet::of(&[MapKind::Color, MapKind::Depth, MapKind::Class, MapKind::Instance]);
     let options = ConditionOptions { maps, ..options };
     let map = town.read_map()?;
-    let measurement = Measurement { town, clouds, options, map: map.as_ref() };
+    let measurement = Measurement { town, options, map: map.as_ref() };
     let mut poses = Vec::new();
     for pose in Pose::ALL {
         let mut row = Measured::new(pose);
         for frame in frames.clone() {
-            measurement.add(rasterizer, frame, &mut row)?;
+            measurement.add(renderer, frame, &mut row)?;
             on_step(&format!("{}, frame {frame:06}", row.name));
         }
         poses.push(row.summary());

@@ -8,9 +8,9 @@ use point_skeleton::conditions::ConditionOptions;
 use point_skeleton::dataset::Dataset;
 use point_skeleton::files::{Inputs, OutputFile};
 use point_skeleton::geometry::ImageSize;
-use point_skeleton::raster::{self, MapKind, MapSet, Rasterizer, RasterizerDesc, RasterizerKind};
-use point_skeleton::scene::SceneClouds;
+use point_skeleton::raster::{MapKind, MapSet, RasterizerDesc, RasterizerKind};
 use point_skeleton::skeleton::Skeleton;
+use point_skeleton::{RenderOptions, Renderer};
 use pskel_eval::protocol::{PartRollouts, Protocol, ProtocolReport, check_settings};
 use pskel_generate::{CopiedLog, DatasetCopy};
 use pskel_sim::report::images::StepImages;
@@ -57,11 +57,7 @@ struct Painter {
 }
 
 impl ImageGenerator for Painter {
-    fn generate(
-        &mut self,
-        _: &Simulation<'_>,
-        _: &mut dyn Rasterizer,
-    ) -> Result<Option<StepImages>, AnyError> {
+    fn generate(&mut self, _: &Simulation<'_>, _: &mut Renderer<'_>) -> Result<Option<StepImages>, AnyError> {
         self.frames += 1;
         let image = |level: u8| vec![RgbImage::from_pixel(12, 8, Rgb([level, 40 * self.frames, 90]))];
         Ok(Some(StepImages { is_reference: self.frames == 1, images: image(60), truth: Some(image(50)) }))
@@ -80,7 +76,7 @@ impl ImageGenerator for Painter {
         frames: usize,
         _: &[Committed<Instant>],
         _: Option<&[u8]>,
-        _: &mut dyn Rasterizer,
+        _: &mut Renderer<'_>,
     ) -> Result<(), AnyError> {
         self.frames = u8::try_from(frames)?;
         Ok(())
@@ -129,13 +125,13 @@ fn roll(root: &Path, skeleton: &Skeleton, after: Option<ResumeAfter>) -> Result<
         ..RolloutOptions::default()
     };
     let out = root.join("rollout");
-    let clouds = SceneClouds::new(skeleton, &log.name).expect("points of ours");
-    let desc = RasterizerDesc::from(RasterizerKind::Cpu);
-    let mut rasterizer = raster::create(&desc, clouds.cloud_set()).expect("a rasterizer");
+    let rasterizer = RasterizerDesc::from(RasterizerKind::Cpu);
+    let render = RenderOptions { rasterizer, log: Some(&log.name), ..RenderOptions::default() };
+    let mut renderer = Renderer::new(skeleton, render).expect("points of ours");
     let read = Inputs::new([&log_path, &skeleton_path]);
     let rollout = Rollout::open(inputs, options, Some((out.as_path(), &read)), after)?;
     let mut painter = Painter { frames: 0 };
-    let report = rollout.run(&clouds, rasterizer.as_mut(), Some(&mut painter), &mut |_| ())?;
+    let report = rollout.run(&mut renderer, Some(&mut painter), &mut |_| ())?;
     report.failure.or(report.summary_failure).map_or(Ok(()), Err)
 }
 

@@ -10,9 +10,9 @@ use point_skeleton::dataset::{
 };
 use point_skeleton::error::FileError;
 use point_skeleton::geometry::Camera;
-use point_skeleton::raster::{self, RasterizerDesc, RasterizerKind};
-use point_skeleton::scene::SceneClouds as Clouds;
+use point_skeleton::raster::{RasterizerDesc, RasterizerKind};
 use point_skeleton::skeleton::{BuildOptions, BuildReport, Skeleton, SkeletonWriter};
+use point_skeleton::{RenderOptions, Renderer};
 use pskel_sim::{Rates, Scenario, SimOptions};
 
 const SIZE: ImageSize = ImageSize { height: 4, width: 8 };
@@ -117,11 +117,11 @@ fn nothing(path: &Path) -> Skeleton {
     Skeleton::open(path).unwrap()
 }
 
-fn parts<'a>(drive: &'a Grey, scene_clouds: &'a Clouds<'a>, calls_before: Option<usize>) -> SessionParts<'a> {
+fn parts(drive: &Grey, calls_before: Option<usize>) -> SessionParts<'_> {
     let recipe = Recipe { drawn: ImageSize { height: 8, width: 16 }, size: SIZE, ..Recipe::default() };
     let codec = PixelCodec::new(SHAPE).unwrap();
     SessionParts {
-        conditioner: Conditioner::new(&drive.0, None, scene_clouds, &recipe, ""),
+        conditioner: Conditioner::new(&drive.0, None, &recipe, ""),
         truth: GroundTruthImages::new(drive),
         ego_follows_log: true,
         actors_follow_log: true,
@@ -144,19 +144,19 @@ fn parts<'a>(drive: &'a Grey, scene_clouds: &'a Clouds<'a>, calls_before: Option
 fn a_session_that_failed_makes_no_step() {
     let (drive, folder) = (Grey::new(), tempfile::tempdir().unwrap());
     let skeleton = nothing(&folder.path().join("sk"));
-    let scene_clouds = Clouds::new(&skeleton, "grey").unwrap();
-    let desc = RasterizerDesc::from(RasterizerKind::Cpu);
-    let mut rasterizer = raster::create(&desc, scene_clouds.cloud_set()).unwrap();
+    let rasterizer = RasterizerDesc::from(RasterizerKind::Cpu);
+    let render = RenderOptions { rasterizer, log: Some("grey"), ..RenderOptions::default() };
+    let mut renderer = Renderer::new(&skeleton, render).unwrap();
     // The reference is encoded, all later frames are decoded.
     for (calls_before, made_before) in [(None, 5), (Some(0), 0), (Some(1), 1), (Some(2), 2)] {
         let scenario = Scenario { log: &drive.0, map: None, rates: Rates::default() };
         let options = SimOptions { steps: 9, ..SimOptions::default() };
         let mut simulation = Simulation::new(&scenario, options).unwrap();
-        let mut session = Session::new(parts(&drive, &scene_clouds, calls_before), Box::new(Still)).unwrap();
+        let mut session = Session::new(parts(&drive, calls_before), Box::new(Still)).unwrap();
         let (mut made, mut errors) = (0, Vec::new());
         loop {
             for _attempt in 0..2 {
-                match session.step(&simulation, rasterizer.as_mut()) {
+                match session.step(&simulation, &mut renderer) {
                     Ok(frame) => {
                         made += usize::from(frame.is_some());
                         break;

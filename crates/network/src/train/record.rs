@@ -1,15 +1,15 @@
 //! Recording of a training clip: conditions as the network receives them, and ground-truth images.
 
-use point_skeleton::conditions::{self, ConditionError};
 use point_skeleton::dataset::{Dataset, DatasetError, Recording};
 use point_skeleton::error::FileError;
 use point_skeleton::geometry::View;
-use point_skeleton::raster::{self, RasterError, RasterizerDesc};
+use point_skeleton::raster::RasterizerDesc;
 use point_skeleton::scene::{
-    EgoOffset, GroundTruthError, GroundTruthImages, SceneClouds, SceneMap, SceneState, SubstituteOptions,
-    frame_rate_hz, state_of_frame,
+    EgoOffset, GroundTruthError, GroundTruthImages, SceneMap, SceneState, SubstituteOptions, frame_rate_hz,
+    state_of_frame,
 };
 use point_skeleton::skeleton::{BuildError, Skeleton};
+use point_skeleton::{RenderOptions, Renderer};
 use pskel_generate::{DenoiserError, DriveFrame, DriveInfo, Recipe, TrainingClip};
 
 /// A log to record, and the skeleton that was built from it.
@@ -56,12 +56,9 @@ pub enum RecordError {
     /// The skeleton cannot be built.
     #[error("{0}")]
     Skeleton(#[from] BuildError),
-    /// The rasterizer cannot be created.
-    #[error("{0}")]
-    Raster(#[from] RasterError),
     /// The conditions cannot be rendered.
     #[error("{0}")]
-    Render(#[from] ConditionError),
+    Render(#[from] point_skeleton::Error),
     /// The ground-truth images cannot be rendered or read.
     #[error("{0}")]
     GroundTruth(#[from] GroundTruthError),
@@ -79,19 +76,25 @@ impl Source<'_> {
         let log = self.dataset.log();
         let (substitutes, _) =
             SubstituteOptions::augmented(variant.augment).make(self.skeleton, &log.name)?;
-        let clouds = SceneClouds::with(self.skeleton, &log.name, &substitutes)?;
-        let mut rasterizer = raster::create(self.rasterizer, clouds.cloud_set())?;
         let map = SceneMap::read(self.dataset)?;
-        let options = self.recipe.options(map.is_some());
+        let conditions = self.recipe.options(map.is_some());
+        let options = RenderOptions {
+            conditions: conditions.clone(),
+            selection: self.recipe.selection(),
+            rasterizer: self.rasterizer.clone(),
+            substitutes: &substitutes,
+            log: Some(&log.name),
+            ..RenderOptions::default()
+        };
+        let mut renderer = Renderer::new(self.skeleton, options)?;
         let about = self.about(log);
         let (mut frames, mut before) = (Vec::new(), None);
         for frame in 0..log.frames.len() {
             let state = state_of_frame(log, frame, variant.offset);
             let state = state.ok_or_else(|| RecordError::Frame { frame, log: log.name.clone() })?;
             let state = SceneState { map: map.clone(), ..state };
-            let instances = clouds.instances(&state, &self.recipe.selection());
-            let set = conditions::render(rasterizer.as_mut(), &instances, &state, &options)?;
-            let drawn = |view: &View| options.drawn_view(view);
+            let set = renderer.render(&state)?.set;
+            let drawn = |view: &View| conditions.drawn_view(view);
             let images = GroundTruthImages::new(self.dataset).of(&state, drawn, self.recipe.size, true)?;
             frames.push(DriveFrame::new(&about, &set, &state, before, &images)?);
             before = Some(state.global_from_ego);

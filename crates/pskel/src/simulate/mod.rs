@@ -22,7 +22,8 @@ use point_skeleton::dataset::Recording;
 use point_skeleton::error::with_causes;
 use point_skeleton::files::{OutputFile, check_place};
 use point_skeleton::geometry::{Camera, ImageSize};
-use point_skeleton::scene::{SceneClouds, SubstituteReport};
+use point_skeleton::scene::SubstituteReport;
+use point_skeleton::{RenderOptions, Renderer};
 use pskel_sim::rollout::{
     ImageGenerator, InputPaths, Rollout, RolloutError, RolloutInputs, RolloutOptions, RolloutReport,
 };
@@ -84,17 +85,22 @@ pub(super) fn rollout(args: SimulateArgs) -> anyhow::Result<String> {
     if args.resume_after().is_some() && rollout.steps_done() == 0 {
         warn("no rollout with a step was found to resume; this one starts at step 0");
     }
-    let clouds = SceneClouds::with(skeleton, &log.name, &substitutes)?;
-    let mut rasterizer = args.rasterizer.create(clouds.cloud_set())?;
-    let generate = |opened: Opened| opened.session(&inputs, &clouds, args.follow_log());
+    let render = RenderOptions {
+        rasterizer: args.rasterizer.desc()?,
+        substitutes: &substitutes,
+        log: Some(&log.name),
+        ..RenderOptions::default()
+    };
+    let mut renderer = Renderer::new(skeleton, render)?;
+    let generate = |opened: Opened| opened.session(&inputs, args.follow_log());
     let mut generator = opened.map(generate).transpose()?;
     let mut progress = Progress::new(rollout.steps_left());
     let mut on_step = |name: &str| progress.step(name);
     let generator = generator.as_mut().map(|generator| generator.as_mut() as &mut dyn ImageGenerator);
-    let report = rollout.run(&clouds, rasterizer.as_mut(), generator, &mut on_step)?;
+    let report = rollout.run(&mut renderer, generator, &mut on_step)?;
     drop(progress);
     let report = checked(report, &args, files.profile.as_ref())?;
-    let text = summary(&planned, &report, &rasterizer.info());
+    let text = summary(&planned, &report, &renderer.rasterizer().info());
     Ok(format!("{text} in {:.2} s: {}", start.elapsed().as_secs_f64(), args.out.display()))
 }
 

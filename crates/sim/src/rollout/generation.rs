@@ -4,10 +4,10 @@ use std::io::Write;
 use std::path::Path;
 use std::sync::Arc;
 
+use point_skeleton::Renderer;
 use point_skeleton::error::FileError;
 use point_skeleton::files::input::{is_there, read_table};
 use point_skeleton::files::write_whole;
-use point_skeleton::raster::Rasterizer;
 
 use super::error::RolloutError;
 use super::files::{GENERATOR_STATE, STATE, step_folder};
@@ -56,7 +56,7 @@ impl<'a> Generation<'a> {
     pub(super) fn resume(
         generator: &'a mut dyn ImageGenerator,
         earlier: &EarlierSteps<'_>,
-        rasterizer: &mut dyn Rasterizer,
+        renderer: &mut Renderer<'_>,
     ) -> Result<Self, RolloutError> {
         let EarlierSteps { folder, rows, steps_per_plan, scenario, options } = earlier;
         let plan_rows: Vec<&StepRow> = rows.iter().step_by(*steps_per_plan).collect();
@@ -71,7 +71,7 @@ impl<'a> Generation<'a> {
         let last = step_folder(folder, &last.name());
         let path = last.join(GENERATOR_STATE);
         let state = is_there(&path)?.then(|| read_table(&path)).transpose()?;
-        let resumed = generator.resume(plan_rows.len(), &instants, state.as_deref(), rasterizer);
+        let resumed = generator.resume(plan_rows.len(), &instants, state.as_deref(), renderer);
         resumed.map_err(RolloutError::file(&path))?;
         let cameras: Vec<_> = scenario.log.rig.iter().map(|rig| rig.camera.name.clone()).collect();
         let latest = images::read(&last, &cameras)?.map(Arc::new);
@@ -82,11 +82,11 @@ impl<'a> Generation<'a> {
     pub(super) fn step(
         &mut self,
         simulation: &Simulation<'_>,
-        rasterizer: &mut dyn Rasterizer,
+        renderer: &mut Renderer<'_>,
         name: &str,
     ) -> Result<Option<Images>, RolloutError> {
         let at = || RolloutError::step(name);
-        let generated = self.generator.generate(simulation, rasterizer).map_err(at())?;
+        let generated = self.generator.generate(simulation, renderer).map_err(at())?;
         let is_fresh = generated.is_some();
         self.latest = generated.map(Arc::new).or(self.latest.take());
         let Some(latest) = self.latest.clone() else { return Ok(None) };

@@ -1,4 +1,4 @@
-use point_skeleton::raster::Rasterizer;
+use point_skeleton::Renderer;
 use serde::Serialize;
 
 use super::error::AnyError;
@@ -14,7 +14,7 @@ pub trait ImageGenerator {
     fn generate(
         &mut self,
         simulation: &Simulation<'_>,
-        rasterizer: &mut dyn Rasterizer,
+        renderer: &mut Renderer<'_>,
     ) -> Result<Option<StepImages>, AnyError>;
 
     /// Durations of the last generated images.
@@ -38,7 +38,7 @@ pub trait ImageGenerator {
         frames: usize,
         last: &[Committed<Instant>],
         saved: Option<&[u8]>,
-        rasterizer: &mut dyn Rasterizer,
+        renderer: &mut Renderer<'_>,
     ) -> Result<(), AnyError>;
 
     /// Number of frames in the window of the network.

@@ -49,8 +49,7 @@ use point_skeleton::error::FileError;
 use point_skeleton::files::OutputFile;
 use point_skeleton::files::{Inputs, OutputFolder};
 use point_skeleton::geometry::View;
-use point_skeleton::raster::Rasterizer;
-use point_skeleton::scene::SceneClouds;
+use point_skeleton::{MapOptions, Renderer};
 
 use self::earlier::{Earlier, EarlierRollout};
 use self::generation::{EarlierSteps, Generation};
@@ -156,7 +155,7 @@ impl<'a> Rollout<'a> {
     }
 
     /// Simulates, renders and writes all steps, then the summary files. `on_step` is called with the name of each step
-    /// after it was rendered. `clouds` are of the rollout's skeleton, and `rasterizer` holds them.
+    /// after it was rendered. `renderer` is of the rollout's skeleton; its own map options are not used.
     ///
     /// If a step fails, the summary files describe the steps before it, and [`RolloutReport::failure`] has its error.
     ///
@@ -164,8 +163,7 @@ impl<'a> Rollout<'a> {
     /// Fails if the first step fails, if a step cannot be written, or if the generator cannot be resumed.
     pub fn run(
         self,
-        clouds: &SceneClouds<'_>,
-        rasterizer: &mut dyn Rasterizer,
+        renderer: &mut Renderer<'_>,
         generator: Option<&mut dyn ImageGenerator>,
         on_step: &mut dyn FnMut(&str),
     ) -> Result<RolloutReport, RolloutError> {
@@ -188,17 +186,17 @@ impl<'a> Rollout<'a> {
         };
         let begin = |generator| match rows.is_empty() {
             true => Ok(Generation::new(generator)),
-            false => Generation::resume(generator, &earlier, rasterizer),
+            false => Generation::resume(generator, &earlier, renderer),
         };
         let mut generation = generator.map(begin).transpose()?;
         let steps = Steps {
             scenario: inputs.scenario,
-            clouds,
+            maps: MapOptions::new(record.conditions.clone(), record.selection),
             output: &output,
             files: out.as_ref().map(|(_, files)| files),
             shown_to_planner: matches!(record.simulation.ego, EgoPolicy::External(_)) && out.is_some(),
         };
-        let mut report = steps.run(simulation, rasterizer, generation.as_mut(), rows, states, on_step)?;
+        let mut report = steps.run(simulation, renderer, generation.as_mut(), rows, states, on_step)?;
         report.close(facts, &record, inputs.scenario.log);
         let clock = Instant::now();
         let finish = || -> Result<(), RolloutError> {
@@ -216,6 +214,7 @@ impl<'a> Rollout<'a> {
         };
         let finished = finish().and_then(|()| out.map_or(Ok(()), |(_, files)| Ok(files.close()?)));
         report.summary_failure = finished.err();
+        let rasterizer = renderer.rasterizer();
         report.profile.close(clock.elapsed(), rasterizer.info(), &rasterizer.take_stages());
         Ok(report)
     }

@@ -13,9 +13,7 @@ use super::generator::GenerationTimes;
 pub(super) struct StepTimes {
     /// Policies of ego and actors.
     pub(super) policies_s: f64,
-    /// Instance selection.
-    pub(super) instances_s: f64,
-    /// Submitting points to the rasterizer and rendering layouts.
+    /// Selecting clouds, submitting points to the rasterizer and rendering layouts.
     pub(super) begin_s: f64,
     /// Waiting until all maps are in memory.
     pub(super) finish_s: f64,
@@ -37,7 +35,7 @@ impl StepTimes {
     }
 
     pub(super) fn conditions_s(&self) -> f64 {
-        self.instances_s + self.begin_s + self.finish_s
+        self.begin_s + self.finish_s
     }
 }
 
@@ -97,7 +95,6 @@ impl Profile {
             ("step_s", of(StepTimes::loop_s)),
             ("policies_s", of(|t| t.policies_s)),
             ("conditions_s", of(StepTimes::conditions_s)),
-            ("instances_s", of(|t| t.instances_s)),
             ("begin_s", of(|t| t.begin_s)),
             ("finish_s", of(|t| t.finish_s)),
             ("forecast_s", of(|t| t.forecast_s)),
@@ -124,12 +121,11 @@ impl Profile {
         let stages: Vec<String> =
             self.stages_s.iter().map(|(name, time)| format!("{name} {time:.2}")).collect();
         format!(
-            "{}a step takes {:.1} ms (median; policies {:.1}, instances {:.1}, drawing {:.1}), {:.1} steps a second; \
+            "{}a step takes {:.1} ms (median; policies {:.1}, drawing {:.1}), {:.1} steps a second; \
              writing {writing:.1} ms beside it; drawing in seconds: {}; loop {:.2} s, report {:.2} s",
             self.generating(),
             ms("step_s"),
             ms("policies_s"),
-            ms("instances_s"),
             ms("begin_s") + ms("finish_s"),
             1e3 / ms("step_s").max(1e-6),
             stages.join(", "),
@@ -206,9 +202,7 @@ mod tests {
         profile.close(Duration::ZERO, info, &StageTimes::default());
         let text = profile.summary();
         assert!(
-            text.starts_with(
-                "a step takes 29.0 ms (median; policies 9.0, instances 0.0, drawing 20.0), 34.5 steps"
-            ),
+            text.starts_with("a step takes 29.0 ms (median; policies 9.0, drawing 20.0), 34.5 steps"),
             "{text}"
         );
         assert_eq!(median(std::iter::empty()), None);

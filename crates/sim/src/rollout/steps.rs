@@ -1,17 +1,17 @@
 //! The loop: simulates and renders step by step, while another thread writes.
 
 use std::collections::BTreeMap;
-use std::sync::mpsc::{Receiver, SyncSender, channel, sync_channel};
+use std::sync::mpsc::{Receiver, SyncSender, channel};
 use std::time::Instant as Clock;
 
 use glam::DVec2;
 use point_skeleton::conditions::birdseye::Trace;
-use point_skeleton::conditions::{CameraConditions, ConditionError, ConditionSet, StepInFlight};
+use point_skeleton::conditions::{CameraConditions, ConditionError, ConditionSet};
 use point_skeleton::dataset::EgoTrack;
 use point_skeleton::files::OutputFolder;
-use point_skeleton::raster::Rasterizer;
-use point_skeleton::scene::{SceneClouds, SceneState};
-use point_skeleton::threads::spawn_scoped;
+use point_skeleton::pipeline::write_beside;
+use point_skeleton::scene::SceneState;
+use point_skeleton::{MapOptions, Maps, Renderer};
 
 use super::error::RolloutError;
 use super::files::{shown_files, step_folder};
@@ -26,7 +26,7 @@ use crate::{Instant, Scenario, Simulation, StepOutcome, Waypoint, scene_state};
 /// State shared by all steps.
 pub(super) struct Steps<'a> {
     pub(super) scenario: &'a Scenario<'a>,
-    pub(super) clouds: &'a SceneClouds<'a>,
+    pub(super) maps: MapOptions,
     pub(super) output: &'a Output<'a>,
     /// Folder of the steps; `None` writes nothing.
     pub(super) files: Option<&'a OutputFolder>,
@@ -59,34 +59,30 @@ impl Steps<'_> {
     pub(super) fn run(
         &self,
         simulation: Simulation<'_>,
-        rasterizer: &mut dyn Rasterizer,
+        renderer: &mut Renderer<'_>,
         generation: Option<&mut Generation<'_>>,
         kept: Vec<StepRow>,
         states: Option<StateFile>,
         on_step: &mut dyn FnMut(&str),
     ) -> Result<RolloutReport, RolloutError> {
         let start = Clock::now();
-        let (sender, receiver) = sync_channel::<Job>(1);
-        let (tell, written) = channel();
+        let (report, written) = channel();
         let writes = states.is_some();
-        let (run, times) = std::thread::scope(|scope| {
-            let write_all = move || -> Result<Vec<WriteTimes>, ConditionError> {
-                let (Some(files), Some(mut states)) = (self.files, states) else { return Ok(Vec::new()) };
-                let write = |job: Job| {
-                    let times = self.output.write(&job, files, &mut states)?;
-                    let _ = tell.send(()); // the receiver may be unused
-                    Ok(times)
-                };
-                receiver.into_iter().map(write).collect()
+        let write = |jobs: Receiver<Job>| -> Result<Vec<WriteTimes>, ConditionError> {
+            let (Some(files), Some(mut states)) = (self.files, states) else { return Ok(Vec::new()) };
+            let write = |job: Job| {
+                let times = self.output.write(&job, files, &mut states)?;
+                let _ = report.send(()); // the receiver may be unused
+                Ok(times)
             };
-            let writer = spawn_scoped(scope, "the thread that writes steps", write_all)?;
-            let writer_way = writes.then_some(Writer { sender, written });
-            let run = self.steps(simulation, rasterizer, generation, kept, writer_way, on_step);
-            match writer.join() {
-                Ok(times) => Ok::<_, RolloutError>((run, times?)),
-                Err(panic) => std::panic::resume_unwind(panic),
-            }
-        })?;
+            jobs.into_iter().map(write).collect()
+        };
+        let simulate = |sender| {
+            let writer = writes.then_some(Writer { sender, written });
+            self.steps(simulation, renderer, generation, kept, writer, on_step)
+        };
+        let (run, times) = write_beside("the thread that writes steps", write, simulate)?;
+        let times = times?;
         let mut run = run?;
         run.profile.written = times;
         run.profile.loop_s = start.elapsed().as_secs_f64();
@@ -96,7 +92,7 @@ impl Steps<'_> {
     fn steps(
         &self,
         mut simulation: Simulation<'_>,
-        rasterizer: &mut dyn Rasterizer,
+        renderer: &mut Renderer<'_>,
         mut generation: Option<&mut Generation<'_>>,
         kept: Vec<StepRow>,
         writer: Option<Writer>,
@@ -108,7 +104,7 @@ impl Steps<'_> {
         let mut outcome = None;
         loop {
             let maker = generation.as_deref_mut();
-            let step = self.step(&simulation, rasterizer, maker, &mut going, outcome.take(), is_new);
+            let step = self.step(&simulation, renderer, maker, &mut going, outcome.take(), is_new);
             match step {
                 Ok(Some(job)) => {
                     on_step(&job.state.name);
@@ -179,7 +175,7 @@ impl Steps<'_> {
     fn step(
         &self,
         simulation: &Simulation<'_>,
-        rasterizer: &mut dyn Rasterizer,
+        renderer: &mut Renderer<'_>,
         generation: Option<&mut Generation<'_>>,
         going: &mut Loop,
         outcome: Option<StepOutcome>,
@@ -188,7 +184,7 @@ impl Steps<'_> {
         let committed = simulation.committed();
         let instant = *committed.get();
         let state = self.state(instant);
-        let set = self.draw(rasterizer, &state, &mut going.times)?;
+        let set = self.draw(renderer, &state, &mut going.times)?;
         let mut clock = Clock::now();
         if going.run.cameras.is_empty() {
             going.run.layout = view::Layout::of(&set);
@@ -218,9 +214,9 @@ impl Steps<'_> {
         let phase = if by_log { Phase::WarmUp } else { Phase::Policy };
         let row = StepRow::new(self.scenario.log, instant, phase, &observed, plan);
         going.times.observe_s = lap(&mut clock);
-        let forecast = self.forecast(simulation, rasterizer)?;
+        let forecast = self.forecast(simulation, renderer)?;
         going.times.forecast_s = lap(&mut clock);
-        let images = generation.map(|generation| generation.step(simulation, rasterizer, &state.name));
+        let images = generation.map(|generation| generation.step(simulation, renderer, &state.name));
         let images = images.transpose()?.flatten();
         going.times.generated = images.as_ref().and_then(|images| Some(images.fresh.as_ref()?.times));
 
@@ -235,13 +231,13 @@ impl Steps<'_> {
     fn forecast(
         &self,
         simulation: &Simulation<'_>,
-        rasterizer: &mut dyn Rasterizer,
+        renderer: &mut Renderer<'_>,
     ) -> Result<Vec<(SceneState, ConditionSet)>, RolloutError> {
         let is_due = simulation.committed().get().step.is_multiple_of(simulation.steps_per_plan());
         let wanted = if is_due { self.output.record.forecast_steps } else { 0 };
         let expected = simulation.forecast(wanted).into_iter().map(|instant| {
             let state = self.state(instant.get());
-            let set = self.draw(rasterizer, &state, &mut StepTimes::default())?;
+            let set = self.draw(renderer, &state, &mut StepTimes::default())?;
             Ok((state, set))
         });
         expected.collect()
@@ -253,17 +249,14 @@ impl Steps<'_> {
 
     fn draw(
         &self,
-        rasterizer: &mut dyn Rasterizer,
+        renderer: &mut Renderer<'_>,
         state: &SceneState,
         times: &mut StepTimes,
     ) -> Result<ConditionSet, RolloutError> {
         let mut clock = Clock::now();
-        let instances = self.clouds.instances(state, &self.output.record.selection);
-        times.instances_s = lap(&mut clock);
-        let begun = StepInFlight::new(rasterizer, &instances, state, &self.output.record.conditions);
-        let begun = begun.map_err(RolloutError::step(&state.name))?;
+        renderer.begin_with(state, &self.maps).map_err(RolloutError::step(&state.name))?;
         times.begin_s = lap(&mut clock);
-        let set = begun.finish(rasterizer).map_err(RolloutError::step(&state.name))?;
+        let Maps { set, .. } = renderer.finish().map_err(RolloutError::step(&state.name))?;
         times.finish_s = lap(&mut clock);
         Ok(set)
     }

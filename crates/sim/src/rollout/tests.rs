@@ -7,9 +7,10 @@ use point_skeleton::dataset::{Frame, Recording, RigCamera};
 use point_skeleton::error::{FileError, with_causes};
 use point_skeleton::geometry::{Camera, Pose};
 use point_skeleton::raster::{
-    self, FrameJob, FrameMaps, RasterError, RasterizerDesc, RasterizerInfo, RasterizerKind, SplatJob,
-    SplatMaps, StageTimes,
+    self, FrameJob, FrameMaps, RasterError, Rasterizer, RasterizerDesc, RasterizerInfo, RasterizerKind,
+    SplatJob, SplatMaps, StageTimes,
 };
+use point_skeleton::scene::SceneClouds;
 use point_skeleton::skeleton::{BuildOptions, BuildReport, Skeleton, SkeletonWriter};
 
 use super::*;
@@ -76,8 +77,9 @@ fn metrics_are_of_the_steps_that_were_drawn() {
     let skeleton = Skeleton::open(&path).unwrap();
     let prompt = PromptParts::default();
     let clouds = SceneClouds::new(&skeleton, &log.name).unwrap();
+    let set = clouds.cloud_set();
     let desc = RasterizerDesc::from(RasterizerKind::Cpu);
-    let drawn = raster::create(&desc, clouds.cloud_set()).unwrap();
+    let drawn = raster::create(&desc, set).unwrap();
     let scenario = Scenario { log: &log, map: None, rates: Rates::default() };
     let paths = InputPaths { log: Path::new("log"), skeleton: &path, prompt: None };
     let inputs = RolloutInputs { scenario: &scenario, skeleton: &skeleton, prompt: &prompt, paths };
@@ -88,7 +90,9 @@ fn metrics_are_of_the_steps_that_were_drawn() {
     // The first step and three more.
     let mut rendered = Vec::new();
     let mut on_step = |name: &str| rendered.push(name.to_owned());
-    let run = rollout.run(&clouds, &mut Failing { drawn, left: 4 }, None, &mut on_step).unwrap();
+    let failing = Box::new(Failing { drawn, left: 4 });
+    let mut renderer = Renderer::with_rasterizer(clouds, failing, MapOptions::default());
+    let run = rollout.run(&mut renderer, None, &mut on_step).unwrap();
     let failure = with_causes(&run.failure.unwrap());
     assert!(failure.contains("step 000004") && failure.contains("found 2"), "{failure}");
     assert_eq!((run.rows.len(), run.metrics.steps, run.ended), (4, 3, None));

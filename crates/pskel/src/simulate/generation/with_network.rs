@@ -4,7 +4,6 @@ use clap::Args;
 use point_skeleton::conditions::FrameCaptions;
 use point_skeleton::dataset::Recording;
 use point_skeleton::scene::GroundTruthImages;
-use point_skeleton::scene::SceneClouds;
 use pskel_generate::DenoiserRig;
 use pskel_network::{GenerationScene, NetworkName, OpenedNetwork};
 use pskel_sim::rollout::ImageGenerator;
@@ -86,13 +85,11 @@ impl Opened {
     pub(crate) fn session<'a>(
         self,
         inputs: &'a Inputs,
-        clouds: &'a SceneClouds<'a>,
         [ego_follows_log, actors_follow_log]: [bool; 2],
     ) -> anyhow::Result<Box<dyn ImageGenerator + 'a>> {
         let scene = GenerationScene {
             log: inputs.dataset.log(),
             map: inputs.map.clone(),
-            clouds,
             prompt: &inputs.prompt,
             captions: self.captions,
             truth: GroundTruthImages::new(inputs.dataset.as_ref()),

@@ -2,7 +2,6 @@ use std::path::Path;
 
 use clap::Args;
 use point_skeleton::dataset::Recording;
-use point_skeleton::scene::SceneClouds;
 use pskel_sim::rollout::ImageGenerator;
 use serde_json::Value;
 
@@ -50,7 +49,6 @@ impl Opened {
     pub(crate) fn session<'a>(
         self,
         _inputs: &'a Inputs,
-        _clouds: &'a SceneClouds<'a>,
         _follow_log: [bool; 2],
     ) -> anyhow::Result<Box<dyn ImageGenerator + 'a>> {
         match self {}

@@ -3,9 +3,9 @@
 use point_skeleton::dataset::nuscenes::NuScenes;
 use point_skeleton::dataset::{Dataset, LogFormat, LogLocator};
 use point_skeleton::geometry::ImageSize;
-use point_skeleton::raster::{RasterizerDesc, RasterizerKind, create};
-use point_skeleton::scene::SceneClouds;
+use point_skeleton::raster::{RasterizerDesc, RasterizerKind};
 use point_skeleton::skeleton::Skeleton;
+use point_skeleton::{RenderOptions, Renderer};
 use pskel_generate::{Conditioner, Recipe};
 use pskel_sim::{EgoPolicy, Forecast, Rates, Scenario, SimOptions, Simulation};
 
@@ -18,12 +18,12 @@ fn forecasts_go_on_after_the_end_of_the_log() {
     let dataset = NuScenes::open(&LogLocator::new(LogFormat::NuScenes, folder.path("log"))).unwrap();
     let log = dataset.log();
     let skeleton = Skeleton::open_for(&folder.path("sk"), log).unwrap();
-    let clouds = SceneClouds::new(&skeleton, &log.name).unwrap();
-    let desc = RasterizerDesc { kind: RasterizerKind::Cpu, ..RasterizerDesc::default() };
-    let mut rasterizer = create(&desc, clouds.cloud_set()).unwrap();
+    let rasterizer = RasterizerDesc::from(RasterizerKind::Cpu);
+    let render = RenderOptions { rasterizer, log: Some(&log.name), ..RenderOptions::default() };
+    let mut renderer = Renderer::new(&skeleton, render).unwrap();
     let size = ImageSize { height: 16, width: 24 };
     let recipe = Recipe { drawn: size, size, ..Recipe::default() };
-    let conditioner = Conditioner::new(log, None, &clouds, &recipe, "");
+    let conditioner = Conditioner::new(log, None, &recipe, "");
     let end_us = log.frames[log.frames.len() - 1].t_us;
     let scenario = Scenario { log, map: None, rates: Rates { sim_hz: 10.0, plan_hz: 5.0 } };
     for ego in [EgoPolicy::Straight, EgoPolicy::Replay] {
@@ -32,7 +32,7 @@ fn forecasts_go_on_after_the_end_of_the_log() {
         let mut seen = Vec::new();
         loop {
             let now_us = simulation.committed().get().t_us;
-            let forecasts = conditioner.forecasts(&simulation, 3, rasterizer.as_mut()).unwrap();
+            let forecasts = conditioner.forecasts(&simulation, 3, &mut renderer).unwrap();
             seen.push((now_us > end_us, forecasts.len()));
             // The window is not frozen: the ego moves in each forecast.
             assert!(forecasts.iter().all(|forecast: &Forecast<_>| forecast.get().action[0] > 0.1));
