@@ -37,6 +37,23 @@ pub struct RolloutReport {
 }
 
 impl RolloutReport {
+    /// Begins the report of a rollout with the steps of an earlier run.
+    pub(super) fn new(rows: Vec<StepRow>, metrics: Metrics) -> Self {
+        Self {
+            rows,
+            metrics,
+            notes: BTreeMap::new(),
+            ended: None,
+            steps_beyond_log: 0,
+            failure: None,
+            summary_failure: None,
+            profile: Profile::default(),
+            facts: Vec::new(),
+            layout: view::Layout::default(),
+            cameras: Vec::new(),
+        }
+    }
+
     /// Returns a note on steps after the end of the log; `None` if there are none.
     pub fn note_beyond_log(&self) -> Option<String> {
         beyond_log(self.steps_beyond_log)

@@ -1,6 +1,5 @@
 //! The loop: simulates and renders step by step, while another thread writes.
 
-use std::collections::BTreeMap;
 use std::sync::mpsc::{Receiver, SyncSender, channel};
 use std::time::Instant as Clock;
 
@@ -9,7 +8,7 @@ use point_skeleton::conditions::birdseye::Trace;
 use point_skeleton::conditions::{CameraConditions, ConditionError, ConditionSet};
 use point_skeleton::dataset::EgoTrack;
 use point_skeleton::files::OutputFolder;
-use point_skeleton::pipeline::write_beside;
+use point_skeleton::pipeline::{Pipeline, write_beside};
 use point_skeleton::scene::SceneState;
 use point_skeleton::{MapOptions, Maps, Renderer};
 
@@ -18,10 +17,10 @@ use super::files::{shown_files, step_folder};
 use super::finish::TRACES;
 use super::generation::Generation;
 use super::output::{Job, Output};
-use super::profile::{Profile, StepTimes, WriteTimes, lap};
+use super::profile::{StepTimes, WriteTimes, lap};
 use super::report::RolloutReport;
 use crate::report::{Phase, StateFile, StepObservations, StepRow, sight, view};
-use crate::{Instant, Scenario, Simulation, StepOutcome, Waypoint, scene_state};
+use crate::{Instant, Metrics, SavedState, Scenario, Simulation, StepOutcome, Waypoint, scene_state};
 
 /// State shared by all steps.
 pub(super) struct Steps<'a> {
@@ -34,13 +33,34 @@ pub(super) struct Steps<'a> {
     pub(super) shown_to_planner: bool,
 }
 
-/// State of the loop besides the simulation.
-struct Loop {
+/// The loop: the simulation, the device, and what is known of the steps so far.
+struct Loop<'l, 'a, 'r, 'g> {
+    steps: &'l Steps<'l>,
+    simulation: Simulation<'a>,
+    renderer: &'l mut Renderer<'r>,
+    generation: Option<&'l mut Generation<'g>>,
+    writer: Option<Writer>,
     run: RolloutReport,
     /// Recorded path of the ego.
     recorded: Vec<DVec2>,
     /// The latest plan.
     plan: Vec<Waypoint>,
+    /// Whether a step has begun.
+    has_begun: bool,
+    /// Error that ends the rollout after the steps in flight.
+    failure: Option<RolloutError>,
+}
+
+/// A committed step whose maps are in flight. The simulation may be one step ahead.
+struct Begun {
+    /// Whether the step is new, rather than one of an earlier run whose maps are needed for the layout of the page.
+    is_new: bool,
+    state: SceneState,
+    instant: Instant,
+    plan: Option<Vec<Waypoint>>,
+    metrics: Metrics,
+    driving_command: &'static str,
+    saved: SavedState,
     times: StepTimes,
 }
 
@@ -79,7 +99,23 @@ impl Steps<'_> {
         };
         let simulate = |sender| {
             let writer = writes.then_some(Writer { sender, written });
-            self.steps(simulation, renderer, generation, kept, writer, on_step)
+            let track = EgoTrack::new(self.scenario.log);
+            let recorded = track.poses().iter().map(|(_, pose)| pose.translation.truncate()).collect();
+            let plan = kept.iter().rev().find_map(|row| row.plan.clone()).unwrap_or_default();
+            let run = RolloutReport::new(kept, simulation.metrics());
+            let all = Loop {
+                steps: self,
+                simulation,
+                renderer,
+                generation,
+                writer,
+                run,
+                recorded,
+                plan,
+                has_begun: false,
+                failure: None,
+            };
+            all.run(on_step)
         };
         let (run, times) = write_beside("the thread that writes steps", write, simulate)?;
         let times = times?;
@@ -89,195 +125,187 @@ impl Steps<'_> {
         Ok(run)
     }
 
-    fn steps(
-        &self,
-        mut simulation: Simulation<'_>,
-        renderer: &mut Renderer<'_>,
-        mut generation: Option<&mut Generation<'_>>,
-        kept: Vec<StepRow>,
-        writer: Option<Writer>,
-        on_step: &mut dyn FnMut(&str),
-    ) -> Result<RolloutReport, RolloutError> {
-        let mut going = self.begin(&simulation, kept);
-        // The last step of an earlier run exists, but its maps are needed for the layout of the page.
-        let mut is_new = going.run.rows.is_empty();
-        let mut outcome = None;
+    fn state(&self, instant: &Instant) -> SceneState {
+        scene_state(self.scenario.log, instant, self.scenario.map.clone())
+    }
+}
+
+impl Loop<'_, '_, '_, '_> {
+    /// Simulates and renders all steps. If the images of a step are needed for the next one, each is finished before the
+    /// next begins; otherwise the next step is simulated and begun meanwhile.
+    fn run(mut self, on_step: &mut dyn FnMut(&str)) -> Result<RolloutReport, RolloutError> {
+        let steps = self.steps;
+        let alone =
+            self.generation.is_some() || steps.shown_to_planner || steps.output.record.forecast_steps > 0;
+        let mut pipeline = if alone { Pipeline::with_depth(1) } else { Pipeline::default() };
         loop {
-            let maker = generation.as_deref_mut();
-            let step = self.step(&simulation, renderer, maker, &mut going, outcome.take(), is_new);
+            let step = pipeline.next(&mut self, Self::begin, Self::finish).and_then(|step| match step {
+                Some((begun, (set, finish_s))) => self.complete(begun, set, finish_s, on_step),
+                None => Ok(false),
+            });
             match step {
-                Ok(Some(job)) => {
-                    on_step(&job.state.name);
-                    if !hand_over(writer.as_ref(), job, &mut going, self.shown_to_planner) {
-                        break;
-                    }
-                }
-                Ok(None) => {}
-                // Without a first step there is nothing to report.
-                Err(error) if going.run.rows.is_empty() => return Err(error),
+                Ok(true) => {}
+                Ok(false) => break,
                 Err(error) => {
-                    going.run.failure = Some(error);
+                    self.failure = Some(error);
                     break;
                 }
             }
-            if self.shown_to_planner {
-                let name = format!("{:06}", simulation.committed().get().step);
-                match shown_files(&step_folder(self.output.folder, &name)) {
-                    Ok(files) => simulation.show(files),
-                    Err(error) => {
-                        going.run.failure = Some(error.into());
-                        break;
-                    }
-                }
-            }
-            if is_new {
-                going.run.profile.steps.push(going.times);
-            }
-            going.times = StepTimes::default();
-            is_new = true;
-            let mut clock = Clock::now();
-            match simulation.step() {
-                Ok(Some(next)) => outcome = Some(next),
-                Ok(None) => break,
-                Err(error) => {
-                    going.run.failure = Some(error.into());
-                    break;
-                }
-            }
-            going.times.policies_s = lap(&mut clock);
         }
-        let Loop { mut run, .. } = going;
-        (run.notes, run.ended) = (simulation.notes(), simulation.ended());
-        Ok(run)
-    }
-
-    fn begin(&self, simulation: &Simulation<'_>, kept: Vec<StepRow>) -> Loop {
-        let track = EgoTrack::new(self.scenario.log);
-        let plan = kept.iter().rev().find_map(|row| row.plan.clone()).unwrap_or_default();
-        let run = RolloutReport {
-            rows: kept,
-            metrics: simulation.metrics(),
-            notes: BTreeMap::new(),
-            ended: None,
-            steps_beyond_log: 0,
-            failure: None,
-            summary_failure: None,
-            profile: Profile::default(),
-            facts: Vec::new(),
-            layout: view::Layout::default(),
-            cameras: Vec::new(),
+        self.run.failure = match self.failure {
+            // Without a first step there is nothing to report.
+            Some(error) if self.run.rows.is_empty() => return Err(error),
+            failure => failure,
         };
-        let recorded = track.poses().iter().map(|(_, pose)| pose.translation.truncate()).collect();
-        Loop { run, recorded, plan, times: StepTimes::default() }
+        (self.run.notes, self.run.ended) = (self.simulation.notes(), self.simulation.ended());
+        Ok(self.run)
     }
 
-    /// Renders the latest committed state. `None` for a step that was written by an earlier run.
-    fn step(
-        &self,
-        simulation: &Simulation<'_>,
-        renderer: &mut Renderer<'_>,
-        generation: Option<&mut Generation<'_>>,
-        going: &mut Loop,
-        outcome: Option<StepOutcome>,
-        is_new: bool,
-    ) -> Result<Option<Job>, RolloutError> {
-        let committed = simulation.committed();
-        let instant = *committed.get();
-        let state = self.state(instant);
-        let set = self.draw(renderer, &state, &mut going.times)?;
-        let mut clock = Clock::now();
-        if going.run.cameras.is_empty() {
-            going.run.layout = view::Layout::of(&set);
-            let generated = generation.as_ref().map(|generation| generation.maps()).unwrap_or_default();
-            // Generated images come first; ground truth follows the first map.
-            for (name, place) in generated.into_iter().zip([0, 2]) {
-                let maps = &mut going.run.layout.maps;
-                maps.insert(place.min(maps.len()), name.to_owned());
-            }
-            let camera = |c: &CameraConditions| (c.name.clone(), [c.width, c.height]);
-            going.run.cameras = set.cameras.iter().map(camera).collect();
-        }
-        if !is_new {
+    /// Begins the next step; `None` once the rollout is over. After an error, the steps in flight can be finished.
+    fn begin(&mut self) -> Result<Option<Begun>, RolloutError> {
+        if self.failure.is_some() {
             return Ok(None);
         }
-        let plan = outcome.as_ref().and_then(|outcome| outcome.plan.as_ref());
-        let plan = plan.map(|plan| plan.get().waypoints().to_vec());
-        going.plan = plan.clone().unwrap_or(std::mem::take(&mut going.plan));
-        let metrics = simulation.metrics();
-        let observed = StepObservations {
-            lateral: metrics.lateral_deviation_m,
-            heading: metrics.heading_deviation_rad,
-            driving_command: simulation.driving_command(),
-            seen: sight::seen(&set, instant.actors.len()),
-        };
-        let by_log = instant.step <= self.output.record.takeover_step;
-        let phase = if by_log { Phase::WarmUp } else { Phase::Policy };
-        let row = StepRow::new(self.scenario.log, instant, phase, &observed, plan);
-        going.times.observe_s = lap(&mut clock);
-        let forecast = self.forecast(simulation, renderer)?;
-        going.times.forecast_s = lap(&mut clock);
-        let images = generation.map(|generation| generation.step(simulation, renderer, &state.name));
-        let images = images.transpose()?.flatten();
-        going.times.generated = images.as_ref().and_then(|images| Some(images.fresh.as_ref()?.times));
+        Ok(self.begin_next().unwrap_or_else(|error| {
+            self.failure = Some(error);
+            None
+        }))
+    }
 
-        // Only now the step is certain to be complete.
-        going.run.rows.push(row.clone());
-        going.run.metrics = metrics;
-        let traces = traces(going, instant.t_us);
-        Ok(Some(Job { state, set, row, saved: simulation.save(), traces, forecast, images }))
+    /// Commits the next step and begins its maps. The first step is the current state of the simulation.
+    fn begin_next(&mut self) -> Result<Option<Begun>, RolloutError> {
+        let mut clock = Clock::now();
+        let is_first = !std::mem::replace(&mut self.has_begun, true);
+        let plan = match is_first {
+            true => None,
+            false => match self.simulation.step()? {
+                Some(StepOutcome { plan }) => plan,
+                None => return Ok(None),
+            },
+        };
+        let mut times = StepTimes { policies_s: lap(&mut clock), ..StepTimes::default() };
+        let simulation = &self.simulation;
+        let instant = (*simulation.committed().get()).clone();
+        let state = self.steps.state(&instant);
+        self.renderer.begin_with(&state, &self.steps.maps).map_err(RolloutError::step(&state.name))?;
+        times.begin_s = lap(&mut clock);
+        Ok(Some(Begun {
+            is_new: !is_first || self.run.rows.is_empty(),
+            state,
+            instant,
+            plan: plan.map(|plan| plan.get().waypoints().to_vec()),
+            metrics: simulation.metrics(),
+            driving_command: simulation.driving_command(),
+            saved: simulation.save(),
+            times,
+        }))
+    }
+
+    /// Waits for the maps of a step. Returns the time that this took, seconds.
+    fn finish(&mut self, begun: &Begun) -> Result<(ConditionSet, f64), RolloutError> {
+        let mut clock = Clock::now();
+        let Maps { set, .. } = self.renderer.finish().map_err(RolloutError::step(&begun.state.name))?;
+        Ok((set, lap(&mut clock)))
+    }
+
+    /// Completes a step with its maps and passes it to the writer thread; `false` if the thread has stopped, whose result
+    /// has the error.
+    fn complete(
+        &mut self,
+        begun: Begun,
+        set: ConditionSet,
+        finish_s: f64,
+        on_step: &mut dyn FnMut(&str),
+    ) -> Result<bool, RolloutError> {
+        let Begun { is_new, state, instant, plan, metrics, driving_command, saved, mut times } = begun;
+        times.finish_s = finish_s;
+        let mut clock = Clock::now();
+        if self.run.cameras.is_empty() {
+            self.lay_out(&set);
+        }
+        if is_new {
+            self.plan = plan.clone().unwrap_or(std::mem::take(&mut self.plan));
+            let observed = StepObservations {
+                lateral: metrics.lateral_deviation_m,
+                heading: metrics.heading_deviation_rad,
+                driving_command,
+                seen: sight::seen(&set, instant.actors.len()),
+            };
+            let by_log = instant.step <= self.steps.output.record.takeover_step;
+            let phase = if by_log { Phase::WarmUp } else { Phase::Policy };
+            let row = StepRow::new(self.steps.scenario.log, &instant, phase, &observed, plan);
+            times.observe_s = lap(&mut clock);
+            let forecast = self.forecast()?;
+            times.forecast_s = lap(&mut clock);
+            let name = state.name.clone();
+            let images = match &mut self.generation {
+                Some(generation) => generation.step(&self.simulation, self.renderer, &name)?,
+                None => None,
+            };
+            times.generated = images.as_ref().and_then(|images| Some(images.fresh.as_ref()?.times));
+
+            // Only now the step is certain to be complete.
+            self.run.rows.push(row.clone());
+            self.run.metrics = metrics;
+            let traces = self.traces(instant.t_us);
+            on_step(&name);
+            let (job, clock) = (Job { state, set, row, saved, traces, forecast, images }, &mut Clock::now());
+            let is_up = self.hand_over(job);
+            times.wait_s = lap(clock);
+            if !is_up {
+                return Ok(false);
+            }
+            self.run.profile.steps.push(times);
+        }
+        if self.steps.shown_to_planner {
+            let folder = step_folder(self.steps.output.folder, &format!("{:06}", instant.step));
+            self.simulation.show(shown_files(&folder)?);
+        }
+        Ok(true)
+    }
+
+    /// Places the cameras in the page's images.
+    fn lay_out(&mut self, set: &ConditionSet) {
+        self.run.layout = view::Layout::of(set);
+        let generated = self.generation.as_ref().map(|generation| generation.maps()).unwrap_or_default();
+        // Generated images come first; ground truth follows the first map.
+        for (name, place) in generated.into_iter().zip([0, 2]) {
+            let maps = &mut self.run.layout.maps;
+            maps.insert(place.min(maps.len()), name.to_owned());
+        }
+        let camera = |c: &CameraConditions| (c.name.clone(), [c.width, c.height]);
+        self.run.cameras = set.cameras.iter().map(camera).collect();
     }
 
     /// Renders the forecasts, if requested and at planning steps only.
-    fn forecast(
-        &self,
-        simulation: &Simulation<'_>,
-        renderer: &mut Renderer<'_>,
-    ) -> Result<Vec<(SceneState, ConditionSet)>, RolloutError> {
+    fn forecast(&mut self) -> Result<Vec<(SceneState, ConditionSet)>, RolloutError> {
+        let simulation = &self.simulation;
         let is_due = simulation.committed().get().step.is_multiple_of(simulation.steps_per_plan());
-        let wanted = if is_due { self.output.record.forecast_steps } else { 0 };
+        let wanted = if is_due { self.steps.output.record.forecast_steps } else { 0 };
         let expected = simulation.forecast(wanted).into_iter().map(|instant| {
-            let state = self.state(instant.get());
-            let set = self.draw(renderer, &state, &mut StepTimes::default())?;
+            let state = self.steps.state(instant.get());
+            let maps = self.renderer.render_with(&state, &self.steps.maps);
+            let set = maps.map_err(RolloutError::step(&state.name))?.set;
             Ok((state, set))
         });
         expected.collect()
     }
 
-    fn state(&self, instant: &Instant) -> SceneState {
-        scene_state(self.scenario.log, instant, self.scenario.map.clone())
+    /// Sends a step to the writer thread, and waits until it is written if a planner receives its files.
+    fn hand_over(&self, job: Job) -> bool {
+        let Some(writer) = &self.writer else { return true };
+        writer.sender.send(job).is_ok() && (!self.steps.shown_to_planner || writer.written.recv().is_ok())
     }
 
-    fn draw(
-        &self,
-        renderer: &mut Renderer<'_>,
-        state: &SceneState,
-        times: &mut StepTimes,
-    ) -> Result<ConditionSet, RolloutError> {
-        let mut clock = Clock::now();
-        renderer.begin_with(state, &self.maps).map_err(RolloutError::step(&state.name))?;
-        times.begin_s = lap(&mut clock);
-        let Maps { set, .. } = renderer.finish().map_err(RolloutError::step(&state.name))?;
-        times.finish_s = lap(&mut clock);
-        Ok(set)
+    /// Returns the lines of the bird's-eye view, in the order of [`TRACES`].
+    fn traces(&self, now_us: i64) -> Vec<Trace> {
+        let driven = self.run.rows.iter().map(StepRow::place_m).collect();
+        let ahead = self.plan.iter().filter(|waypoint| waypoint.t_us >= now_us);
+        let here = self.run.rows.last().map(StepRow::place_m);
+        let plan = here.into_iter().chain(ahead.map(Waypoint::position_m)).collect();
+        let lines = [self.recorded.clone(), driven, plan];
+        let trace =
+            |(points, (_, rgba)): (Vec<DVec2>, (&str, [u8; 4]))| Trace { points, rgba, width_px: 2.5 };
+        lines.into_iter().zip(TRACES).map(trace).collect()
     }
-}
-
-/// Sends a step to the writer thread; `false` if the thread has stopped, whose result has the error.
-fn hand_over(writer: Option<&Writer>, job: Job, going: &mut Loop, wait: bool) -> bool {
-    let Some(writer) = writer else { return true };
-    let mut clock = Clock::now();
-    let is_up = writer.sender.send(job).is_ok() && (!wait || writer.written.recv().is_ok());
-    going.times.wait_s = lap(&mut clock);
-    is_up
-}
-
-/// Returns the lines of the bird's-eye view, in the order of [`TRACES`].
-fn traces(going: &Loop, now_us: i64) -> Vec<Trace> {
-    let driven = going.run.rows.iter().map(StepRow::place_m).collect();
-    let ahead = going.plan.iter().filter(|waypoint| waypoint.t_us >= now_us);
-    let here = going.run.rows.last().map(StepRow::place_m);
-    let plan = here.into_iter().chain(ahead.map(Waypoint::position_m)).collect();
-    let lines = [going.recorded.clone(), driven, plan];
-    let trace = |(points, (_, rgba)): (Vec<DVec2>, (&str, [u8; 4]))| Trace { points, rgba, width_px: 2.5 };
-    lines.into_iter().zip(TRACES).map(trace).collect()
 }
