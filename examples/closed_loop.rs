@@ -12,7 +12,7 @@ pub fn run(log: &str, steps: usize, out: &Path) -> Result<(), Box<dyn std::error
     let skeleton = Skeleton::build(&log, out.join("skeleton"), &Default::default())?;
     let mut renderer = Renderer::new(&skeleton, RenderOptions::default())?;
 
-    let record = log.dataset().log();
+    let record = log.recording();
     let scenario = Scenario { log: record, map: log.map(), rates: Rates::default() };
     let (ego, actors) = (EgoPolicy::Straight, ActorPolicy::Idm);
     let mut simulation =

@@ -1,84 +1,117 @@
 use std::path::Path;
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 
 use crate::Error;
-use crate::dataset::{self, Dataset, DatasetError, EgoTrack, LogLocator, MissingData};
+use crate::dataset::{self, DatasetError, EgoTrack, LogLocator, LogReader, MissingData, Recording};
 use crate::scene::{EgoOffset, SceneMap, SceneState, state_at, state_of_frame};
 use crate::skeleton::{self, BuildInput, BuildOptions, BuildRun, Skeleton};
 
 /// A recorded drive: sensors, calibration, ego poses, tracked boxes and HD map.
 pub struct Log {
-    dataset: Box<dyn Dataset>,
+    reader: Box<dyn LogReader>,
     ego: EgoTrack,
-    map: Option<Arc<SceneMap>>,
-    map_error: Option<DatasetError>,
+    /// HD map, or the error of reading it.
+    map: OnceLock<Result<Option<Arc<SceneMap>>, DatasetError>>,
 }
 
 impl Log {
     /// Opens a log by name: `FORMAT:PATH[@VERSION][#SCENE]`, such as `nuscenes:/data/nuscenes@v1.0-mini#scene-0061`.
-    /// Reads tables and the HD map, no sweeps and images.
+    /// Reads tables, no sweeps and images. The HD map is read when it is needed.
     ///
     /// # Errors
     /// Fails if the name is invalid or if a table is missing or damaged.
     pub fn open(name: &str) -> Result<Self, Error> {
         let locator: LogLocator = name.parse()?;
-        Self::new(dataset::open(&locator)?)
+        Ok(Self::new(dataset::open(&locator)?))
     }
 
-    /// Creates a log from a reader of any format. With [`MissingData::Skip`], a log with a damaged HD map has none, and
-    /// [`Log::map_error`] says why.
-    ///
-    /// # Errors
-    /// Fails with [`MissingData::Error`] if the HD map is damaged.
-    pub fn new(dataset: Box<dyn Dataset>) -> Result<Self, Error> {
-        let (map, map_error) = match SceneMap::read(dataset.as_ref()) {
-            Ok(map) => (map, None),
-            Err(error) if dataset.log().reading.missing == MissingData::Skip => (None, Some(error)),
-            Err(error) => return Err(error.into()),
-        };
-        let ego = EgoTrack::new(dataset.log());
-        Ok(Self { dataset, ego, map, map_error })
+    /// Creates a log from a reader of any format.
+    pub fn new(reader: Box<dyn LogReader>) -> Self {
+        let ego = EgoTrack::new(reader.recording());
+        Self { reader, ego, map: OnceLock::new() }
     }
 
     /// Returns the name, which identifies the log in skeletons.
     pub fn name(&self) -> &str {
-        &self.dataset.log().name
+        &self.recording().name
+    }
+
+    /// Returns poses, calibration, boxes and file paths.
+    pub fn recording(&self) -> &Recording {
+        self.reader.recording()
     }
 
     /// Returns the frames (the states at key frames), in time order.
     pub fn frames(&self) -> impl Iterator<Item = SceneState> {
-        (0..self.dataset.log().frames.len()).filter_map(|i| self.frame(i))
+        (0..self.recording().frames.len()).filter_map(|i| self.frame(i))
     }
 
     /// Returns the state at a key frame; `None` beyond the last.
     pub fn frame(&self, index: usize) -> Option<SceneState> {
-        let state = state_of_frame(self.dataset.log(), index, EgoOffset::default());
+        self.frame_moved(index, EgoOffset::default())
+    }
+
+    /// Returns the state at a key frame with a moved ego; `None` beyond the last.
+    pub fn frame_moved(&self, index: usize, offset: EgoOffset) -> Option<SceneState> {
+        let state = state_of_frame(self.recording(), index, offset);
         state.map(|state| self.with_map(state))
     }
 
     /// Returns the state at a time, with interpolated ego and actors; `None` outside the log. Microseconds.
     pub fn state_at(&self, t_us: i64) -> Option<SceneState> {
-        let state = state_at(self.dataset.log(), &self.ego, t_us, EgoOffset::default());
+        let state = state_at(self.recording(), &self.ego, t_us, EgoOffset::default());
         state.map(|state| self.with_map(state))
     }
 
-    /// Returns the HD map, if the log has one.
+    /// Returns the HD map; `None` if the log has none, or if it cannot be read ([`Log::map_error`]).
     pub fn map(&self) -> Option<Arc<SceneMap>> {
-        self.map.clone()
+        self.read_map().as_ref().ok().cloned().flatten()
+    }
+
+    /// Returns the HD map; `None` if the log has none.
+    ///
+    /// # Errors
+    /// Fails if the map cannot be read.
+    pub fn require_map(&self) -> Result<Option<Arc<SceneMap>>, DatasetError> {
+        match self.read_map() {
+            Ok(map) => Ok(map.clone()),
+            // Errors cannot be copied, and this one ends the work.
+            Err(_) => SceneMap::read(self.reader()),
+        }
+    }
+
+    /// Returns the HD map if a command can do without one that cannot be read: with [`MissingData::Skip`].
+    ///
+    /// # Errors
+    /// Fails with [`MissingData::Error`] if the map cannot be read.
+    pub fn optional_map(&self) -> Result<Option<Arc<SceneMap>>, DatasetError> {
+        match self.recording().reading.missing {
+            MissingData::Skip => Ok(self.map()),
+            MissingData::Error => self.require_map(),
+        }
     }
 
     /// Returns why the HD map cannot be read; `None` if it can, or if the log has none.
     pub fn map_error(&self) -> Option<&DatasetError> {
-        self.map_error.as_ref()
+        self.read_map().as_ref().err()
     }
 
     /// Returns the reader, for sweeps and images.
-    pub fn dataset(&self) -> &dyn Dataset {
-        self.dataset.as_ref()
+    pub fn reader(&self) -> &dyn LogReader {
+        self.reader.as_ref()
+    }
+
+    /// Returns the reader.
+    pub fn into_reader(self) -> Box<dyn LogReader> {
+        self.reader
+    }
+
+    fn read_map(&self) -> &Result<Option<Arc<SceneMap>>, DatasetError> {
+        self.map.get_or_init(|| SceneMap::read(self.reader()))
     }
 
     fn with_map(&self, state: SceneState) -> SceneState {
-        SceneState { map: self.map.clone(), ..state }
+        SceneState { map: self.map(), ..state }
     }
 }
 
@@ -89,7 +122,7 @@ impl Skeleton {
     /// # Errors
     /// Fails if a file of the log is damaged and the log was opened with [`MissingData::Error`], if no sweep has points, or if the folder cannot be written.
     pub fn build(log: &Log, folder: impl AsRef<Path>, options: &BuildOptions) -> Result<Self, Error> {
-        let input = BuildInput::all(log.dataset());
+        let input = BuildInput::all(log.reader());
         let run = BuildRun::default();
         Ok(skeleton::build(folder.as_ref(), &[input], options, &|_| Ok(Vec::new()), &run)?)
     }

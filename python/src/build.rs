@@ -29,7 +29,7 @@ pub(crate) fn build(
     let callback = Callback::new(progress);
     let build = || {
         let run = BuildRun { resume, progress: &callback, ..BuildRun::default() };
-        let input = BuildInput::all(log.dataset());
+        let input = BuildInput::all(log.reader());
         let built = skeleton::build(&out, &[input], &BuildOptions::default(), &|_| Ok(Vec::new()), &run);
         match callback.raised() {
             Some(raised) => Err(raised),

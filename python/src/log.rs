@@ -4,7 +4,7 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use numpy::{PyArray1, PyArray4, PyArrayMethods};
-use point_skeleton::dataset::{Dataset, MissingData};
+use point_skeleton::dataset::MissingData;
 use point_skeleton::error::with_causes;
 use point_skeleton::geometry::View;
 use point_skeleton::scene::GroundTruthImages;
@@ -49,11 +49,12 @@ impl Log {
         let open = || {
             let mut locator = pskel::logs::locate(name).map_err(raise)?;
             locator.reading.missing = policy;
-            let dataset: Box<dyn Dataset> = pskel::logs::open(&locator).map_err(raise)?;
-            point_skeleton::Log::new(dataset).map(OwnedLog::new).map_err(raise)
+            let log = pskel::logs::open(&locator).map_err(raise)?;
+            log.optional_map().map_err(raise)?;
+            Ok(OwnedLog::new(log))
         };
         let log: OwnedLog = detached(py, open)?;
-        let gaps = &log.dataset().log().gaps;
+        let gaps = &log.recording().gaps;
         let first = gaps.first().map(|gap| format!("{name} has {} gaps, the first: {gap}", gaps.len()));
         let map = log.map_error().map(|error| format!("{name} has an HD map that cannot be read: {error}"));
         for text in first.into_iter().chain(map) {
@@ -66,13 +67,13 @@ impl Log {
     /// Number of skipped and missing items, by kind.
     #[getter]
     fn notes(&self) -> BTreeMap<String, usize> {
-        self.inner.dataset().log().notes.clone()
+        self.inner.recording().notes.clone()
     }
 
     /// Missing parts: files, records, boxes without a size.
     #[getter]
     fn gaps(&self) -> Vec<String> {
-        self.inner.dataset().log().gaps.iter().map(ToString::to_string).collect()
+        self.inner.recording().gaps.iter().map(ToString::to_string).collect()
     }
 
     /// Name of the scene, which identifies the log in skeletons.
@@ -84,13 +85,13 @@ impl Log {
     /// Times of the key frames, microseconds.
     #[getter]
     fn times_us(&self) -> Vec<i64> {
-        self.inner.dataset().log().frames.iter().map(|frame| frame.t_us).collect()
+        self.inner.recording().frames.iter().map(|frame| frame.t_us).collect()
     }
 
     /// Files of sweeps and images, each once, sorted.
     #[getter]
     fn files(&self) -> Vec<PathBuf> {
-        let frames = self.inner.dataset().log().frames.iter();
+        let frames = self.inner.recording().frames.iter();
         let files = frames.flat_map(|frame| {
             let images = frame.images.iter().chain(&frame.between_images).map(|image| &image.path);
             images.chain(frame.sweeps.iter().map(|sweep| &sweep.path))
@@ -99,7 +100,7 @@ impl Log {
     }
 
     fn __len__(&self) -> usize {
-        self.inner.dataset().log().frames.len()
+        self.inner.recording().frames.len()
     }
 
     /// Returns the scene at a key frame, or a list of those of a slice; negative indices count from the end.
@@ -145,7 +146,7 @@ impl Log {
         let (log, scene, Size(size)) = (Arc::clone(&self.inner), scene.checked(self.name())?, size);
         log.claim_images()?;
         let read = || {
-            let truth = GroundTruthImages::new(log.dataset());
+            let truth = GroundTruthImages::new(log.reader());
             let drawn =
                 |view: &View| View { camera: view.camera.resized(size.height, size.width), ..view.clone() };
             truth.of(&scene, drawn, size, false).map_err(|error| match log.is_rendered() {

@@ -20,7 +20,7 @@ impl OwnedLog {
 
     /// Returns whether images are rendered, by a device, and not recorded.
     pub(crate) fn is_rendered(&self) -> bool {
-        self.log.dataset().view_renderer().is_some()
+        self.log.reader().view_renderer().is_some()
     }
 
     /// Notes, before images are read, that this process renders them. No effect if they are recorded.

@@ -94,7 +94,7 @@ impl Simulation {
         let (rates, log) = (log.rates(), Arc::clone(&log.inner));
         let start = || {
             Owned::try_new(log, |log| {
-                let scenario = Scenario { log: log.dataset().log(), map: log.map(), rates };
+                let scenario = Scenario { log: log.recording(), map: log.map(), rates };
                 match &saved {
                     Some(saved) => Borrowing::resume(&scenario, options, saved),
                     None => Borrowing::new(&scenario, options),
@@ -166,7 +166,7 @@ impl Simulation {
     #[getter]
     fn is_beyond_log(&self, py: Python<'_>) -> PyResult<bool> {
         self.read(py, |simulation, log| {
-            let end_us = log.dataset().log().frames.last().map(|frame| frame.t_us);
+            let end_us = log.recording().frames.last().map(|frame| frame.t_us);
             Ok(end_us.is_some_and(|end_us| simulation.committed().get().t_us > end_us))
         })
     }
@@ -307,7 +307,7 @@ impl Simulation {
 }
 
 fn scene(log: &point_skeleton::Log, instant: &Instant) -> Scene {
-    Scene::of_log(scene_state(log.dataset().log(), instant, log.map()), log)
+    Scene::of_log(scene_state(log.recording(), instant, log.map()), log)
 }
 
 /// Converts waypoints; the speed of those without one is that from the waypoint before, along the heading.

@@ -11,7 +11,7 @@ pub struct LogLocator {
     pub format: LogFormat,
     /// Folder or file; with [`LogFormat::Other`], any text that its reader understands.
     pub path: PathBuf,
-    /// Dataset version, for instance `v1.0-mini`.
+    /// Version of the data set, for instance `v1.0-mini`.
     pub version: Option<String>,
     /// Scene name or token.
     pub scene: Option<String>,

@@ -68,9 +68,9 @@ use crate::geometry::{CameraError, Cuboid, CuboidError, PoseError, View};
 
 /// Reader of one log (not of a whole data set): metadata, sweeps, images and map. For a format outside this crate,
 /// implement it and pass it to [`Log::new`](crate::Log::new).
-pub trait Dataset: Send + Sync {
+pub trait LogReader: Send + Sync {
     /// Returns poses, calibration, boxes and file paths.
-    fn log(&self) -> &Recording;
+    fn recording(&self) -> &Recording;
 
     /// Reads a sweep. Drops and counts points that are not finite.
     ///
@@ -81,7 +81,7 @@ pub trait Dataset: Send + Sync {
     /// Returns the number of points of a sweep from its header and size; `None` if the sweep is generated on reading.
     ///
     /// # Errors
-    /// Fails as [`Dataset::read_sweep`], except for errors in the points themselves.
+    /// Fails as [`LogReader::read_sweep`], except for errors in the points themselves.
     fn check_sweep(&self, record: &SweepRecord) -> Result<Option<u64>, DatasetError> {
         self.read_sweep(record).map(|sweep| Some((sweep.points.len() + sweep.dropped_non_finite) as u64))
     }
@@ -95,7 +95,7 @@ pub trait Dataset: Send + Sync {
     /// Checks that an image exists, is not cut off, and has the size in its record. Only the header is decoded.
     ///
     /// # Errors
-    /// Fails as [`Dataset::read_image`], except for errors in the pixel data.
+    /// Fails as [`LogReader::read_image`], except for errors in the pixel data.
     fn check_image(&self, record: &ImageRecord) -> Result<(), DatasetError> {
         let camera = &record.camera;
         let (height, width) = picture_size(&record.path)?;

@@ -1,18 +1,18 @@
-use super::{Dataset, DatasetError, ImageRecord, Recording, Sweep, SweepRecord, VectorMap, ViewRenderer};
+use super::{DatasetError, ImageRecord, LogReader, Recording, Sweep, SweepRecord, VectorMap, ViewRenderer};
 use crate::scene::EgoOffset;
 
 /// A synthetic log with the ego and its cameras displaced at all times. Actors and LiDAR sweeps stay where they are, and images are
 /// rendered where the cameras are then.
 pub struct MovedEgo {
     log: Recording,
-    dataset: Box<dyn Dataset>,
+    reader: Box<dyn LogReader>,
 }
 
 impl MovedEgo {
     /// Displaces the ego of a log; `None` if the log is recorded, since its images exist at the recorded poses alone.
-    pub fn new(dataset: Box<dyn Dataset>, offset: EgoOffset) -> Option<Self> {
-        dataset.view_renderer()?;
-        let mut log = dataset.log().clone();
+    pub fn new(reader: Box<dyn LogReader>, offset: EgoOffset) -> Option<Self> {
+        reader.view_renderer()?;
+        let mut log = reader.recording().clone();
         let (ego_from_moved, moved_from_ego) = (offset.pose(), offset.pose().inverse());
         for frame in &mut log.frames {
             frame.global_from_ego = frame.global_from_ego * ego_from_moved;
@@ -24,40 +24,40 @@ impl MovedEgo {
                 sweep.ego_from_lidar = moved_from_ego * sweep.ego_from_lidar;
             }
         }
-        Some(Self { log, dataset })
+        Some(Self { log, reader })
     }
 }
 
-impl Dataset for MovedEgo {
-    fn log(&self) -> &Recording {
+impl LogReader for MovedEgo {
+    fn recording(&self) -> &Recording {
         &self.log
     }
 
     fn read_sweep(&self, record: &SweepRecord) -> Result<Sweep, DatasetError> {
-        self.dataset.read_sweep(record)
+        self.reader.read_sweep(record)
     }
 
     fn check_sweep(&self, record: &SweepRecord) -> Result<Option<u64>, DatasetError> {
-        self.dataset.check_sweep(record)
+        self.reader.check_sweep(record)
     }
 
     fn read_image(&self, record: &ImageRecord) -> Result<image::RgbImage, DatasetError> {
-        self.dataset.read_image(record)
+        self.reader.read_image(record)
     }
 
     fn check_image(&self, record: &ImageRecord) -> Result<(), DatasetError> {
-        self.dataset.check_image(record)
+        self.reader.check_image(record)
     }
 
     fn box_points(&self) -> Option<&[Vec<Option<u32>>]> {
-        self.dataset.box_points()
+        self.reader.box_points()
     }
 
     fn read_map(&self) -> Result<Option<VectorMap>, DatasetError> {
-        self.dataset.read_map()
+        self.reader.read_map()
     }
 
     fn view_renderer(&self) -> Option<&dyn ViewRenderer> {
-        self.dataset.view_renderer()
+        self.reader.view_renderer()
     }
 }

@@ -1,7 +1,7 @@
 #[cfg(feature = "nuscenes")]
 use std::sync::{Arc, Mutex, PoisonError};
 
-use super::{Dataset, DatasetError, LogFormat, LogLocator, LogOutline};
+use super::{DatasetError, LogFormat, LogLocator, LogOutline, LogReader};
 
 /// Opens recorded logs. Tables that hold many logs (nuScenes) are read once for consecutive logs of one data set.
 #[derive(Debug, Default)]
@@ -20,7 +20,7 @@ impl LogOpener {
     ///
     /// # Errors
     /// Fails if this build has no reader of the format. Returns any error of the reader.
-    pub fn open(&self, locator: &LogLocator) -> Result<Box<dyn Dataset>, DatasetError> {
+    pub fn open(&self, locator: &LogLocator) -> Result<Box<dyn LogReader>, DatasetError> {
         match locator.format {
             #[cfg(feature = "nuscenes")]
             LogFormat::NuScenes => {
@@ -46,7 +46,7 @@ impl LogOpener {
         if locator.format == LogFormat::NuScenes {
             return self.version(locator)?.outline(locator);
         }
-        Ok(LogOutline::of(self.open(locator)?.log()))
+        Ok(LogOutline::of(self.open(locator)?.recording()))
     }
 
     /// Returns the tables of a locator.
@@ -64,7 +64,7 @@ impl LogOpener {
 ///
 /// # Errors
 /// Fails as [`LogOpener::open`].
-pub fn open(locator: &LogLocator) -> Result<Box<dyn Dataset>, DatasetError> {
+pub fn open(locator: &LogLocator) -> Result<Box<dyn LogReader>, DatasetError> {
     LogOpener::new().open(locator)
 }
 

@@ -6,7 +6,7 @@ use glam::DVec3;
 use rayon::prelude::*;
 use serde::Serialize;
 
-use super::{Dataset, Frame, ImageRecord, Recording};
+use super::{Frame, ImageRecord, LogReader, Recording};
 use crate::files::FileName;
 
 /// Summary of a log.
@@ -105,8 +105,8 @@ pub struct MapCounts {
 impl LogSummary {
     /// Summarizes a log. Checks the header and size of every sweep and image file, and reads the HD map and the points
     /// of a few sweeps.
-    pub fn new(dataset: &dyn Dataset) -> Self {
-        let log = dataset.log();
+    pub fn new(dataset: &dyn LogReader) -> Self {
+        let log = dataset.recording();
         let mut damaged: Vec<String> =
             log.gaps.iter().filter(|gap| gap.file().is_some()).map(ToString::to_string).collect();
         // The frames of a camera may miss the same folder.
@@ -150,8 +150,8 @@ impl LogSummary {
 
 /// Returns the number of points of all sweeps, derived from file sizes and `None` if they do not determine it, and
 /// the errors of damaged sweep files.
-fn sweeps(dataset: &dyn Dataset) -> (Option<u64>, Vec<String>) {
-    let records: Vec<_> = dataset.log().frames.iter().flat_map(|f| &f.sweeps).collect();
+fn sweeps(dataset: &dyn LogReader) -> (Option<u64>, Vec<String>) {
+    let records: Vec<_> = dataset.recording().frames.iter().flat_map(|f| &f.sweeps).collect();
     let results: Vec<_> = records.par_iter().map(|record| dataset.check_sweep(record)).collect();
     let points =
         results.iter().flatten().try_fold(0, |sum: u64, points| Some(sum.saturating_add((*points)?)));
@@ -164,12 +164,12 @@ const SWEEPS_READ: usize = 8;
 /// Reads the points of a few sweeps, and adds what is unusual about their values. Sweeps that are generated on reading
 /// are not read.
 fn contents(
-    dataset: &dyn Dataset,
+    dataset: &dyn LogReader,
     points: Option<u64>,
     left_out: &mut BTreeMap<String, usize>,
     damaged: &mut Vec<String>,
 ) {
-    let records: Vec<_> = dataset.log().frames.iter().flat_map(|f| &f.sweeps).collect();
+    let records: Vec<_> = dataset.recording().frames.iter().flat_map(|f| &f.sweeps).collect();
     if points.is_none() && damaged.is_empty() {
         return;
     }
@@ -196,7 +196,7 @@ fn contents(
 
 /// Counts the elements of the HD map. Adds the notes of the map's reader to `left_out`.
 fn map(
-    dataset: &dyn Dataset,
+    dataset: &dyn LogReader,
     left_out: &mut BTreeMap<String, usize>,
     damaged: &mut Vec<String>,
 ) -> Option<MapCounts> {
@@ -217,8 +217,8 @@ fn map(
 }
 
 /// Returns the errors of image files. A file that is shared by several frames is checked once.
-fn images(dataset: &dyn Dataset) -> Vec<String> {
-    let log = dataset.log();
+fn images(dataset: &dyn LogReader) -> Vec<String> {
+    let log = dataset.recording();
     let mut seen = BTreeSet::new();
     let all = log.frames.iter().flat_map(|f| f.images.iter().chain(&f.between_images));
     let records: Vec<&ImageRecord> = all.filter(|record| seen.insert(&record.path)).collect();

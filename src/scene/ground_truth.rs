@@ -4,14 +4,14 @@ use image::{Rgb, RgbImage};
 use rayon::prelude::*;
 
 use super::{ActorState, SceneCamera, SceneState};
-use crate::dataset::{Dataset, DatasetError, ImageRecord, PosedActor};
+use crate::dataset::{DatasetError, ImageRecord, LogReader, PosedActor};
 use crate::files::text::printable;
 use crate::geometry::{Camera, ImageSize, View};
 
 /// Ground-truth images of a log: recorded ones, or rendered from any pose if the log is synthetic.
 #[derive(Clone, Copy)]
 pub struct GroundTruthImages<'a> {
-    dataset: &'a dyn Dataset,
+    reader: &'a dyn LogReader,
 }
 
 /// Error of looking up ground-truth images.
@@ -32,8 +32,8 @@ pub enum GroundTruthError {
 
 impl<'a> GroundTruthImages<'a> {
     /// Creates the source for a log.
-    pub fn new(dataset: &'a dyn Dataset) -> Self {
-        Self { dataset }
+    pub fn new(reader: &'a dyn LogReader) -> Self {
+        Self { reader }
     }
 
     /// Reads a recorded image and removes its lens distortion.
@@ -41,13 +41,13 @@ impl<'a> GroundTruthImages<'a> {
     /// # Errors
     /// Fails if the file is missing or damaged.
     pub fn of_record(&self, record: &ImageRecord) -> Result<RgbImage, DatasetError> {
-        Ok(rectified(self.dataset.read_image(record)?, &record.camera))
+        Ok(rectified(self.reader.read_image(record)?, &record.camera))
     }
 
     /// Returns whether ground truth is available: always in a synthetic log, in a recorded log only if the ego and the
     /// actors follow the log.
     pub fn are_known(&self, ego_follows_log: bool, actors_follow_log: bool) -> bool {
-        self.dataset.view_renderer().is_some() || ego_follows_log && actors_follow_log
+        self.reader.view_renderer().is_some() || ego_follows_log && actors_follow_log
     }
 
     /// Returns the ground-truth images of all cameras of a state, resized to `size`. In a synthetic log, the views
@@ -63,12 +63,12 @@ impl<'a> GroundTruthImages<'a> {
         size: ImageSize,
         actors_follow_log: bool,
     ) -> Result<Vec<RgbImage>, GroundTruthError> {
-        let images = if let Some(renderer) = self.dataset.view_renderer() {
+        let images = if let Some(renderer) = self.reader.view_renderer() {
             let views: Vec<View> = state.cameras.iter().map(|camera| drawn(&camera.view)).collect();
             let actors: Vec<PosedActor<'_>> = state.actors.iter().map(posed).collect();
             renderer.render_views(state.t_us, (!actors_follow_log).then_some(&actors), &views)?
         } else {
-            let image = |camera: &SceneCamera| logged(self.dataset, &camera.view.camera.name, state.t_us);
+            let image = |camera: &SceneCamera| logged(self.reader, &camera.view.camera.name, state.t_us);
             state.cameras.par_iter().map(image).collect::<Result<Vec<_>, _>>()?
         };
         Ok(images.iter().map(|image| resize(image, size.width, size.height, FilterType::Triangle)).collect())
@@ -80,15 +80,15 @@ fn posed(actor: &ActorState) -> PosedActor<'_> {
 }
 
 /// Reads the image of a camera that is nearest in time, and rectifies it.
-fn logged(dataset: &dyn Dataset, camera: &str, t_us: i64) -> Result<RgbImage, GroundTruthError> {
-    let log = dataset.log();
+fn logged(reader: &dyn LogReader, camera: &str, t_us: i64) -> Result<RgbImage, GroundTruthError> {
+    let log = reader.recording();
     let of_camera =
         |record: &&ImageRecord| log.cameras.get(record.channel).is_some_and(|name| name == camera);
     let all = log.frames.iter().flat_map(|frame| frame.images.iter().chain(&frame.between_images));
     let nearest = all.filter(of_camera).min_by_key(|record| (record.t_us.abs_diff(t_us), record.t_us));
     let nearest = nearest
         .ok_or_else(|| GroundTruthError::NoImage { camera: camera.to_owned(), log: log.name.clone() })?;
-    Ok(GroundTruthImages::new(dataset).of_record(nearest)?)
+    Ok(GroundTruthImages::new(reader).of_record(nearest)?)
 }
 
 /// Resamples an image to a pinhole camera of the same size and intrinsics, like the conditions. Interpolates

@@ -12,7 +12,7 @@ use glam::{DVec2, DVec3};
 use rstar::primitives::{GeomWithData, Rectangle};
 use rstar::{AABB, RTree};
 
-use crate::dataset::{Area, Dataset, DatasetError, Recording, VectorMap};
+use crate::dataset::{Area, DatasetError, LogReader, Recording, VectorMap};
 
 /// Kind of area that an edge bounds, or of line; layers are drawn in this order.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -53,8 +53,8 @@ impl SceneMap {
     ///
     /// # Errors
     /// Fails if the map is damaged.
-    pub fn read(dataset: &dyn Dataset) -> Result<Option<Arc<Self>>, DatasetError> {
-        Ok(dataset.read_map()?.map(|map| Arc::new(Self::new(map, dataset.log()))))
+    pub fn read(dataset: &dyn LogReader) -> Result<Option<Arc<Self>>, DatasetError> {
+        Ok(dataset.read_map()?.map(|map| Arc::new(Self::new(map, dataset.recording()))))
     }
 
     /// Assigns ground heights from a log to a map. Skips edges with coordinates that are not finite, and all edges if

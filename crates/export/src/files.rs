@@ -4,9 +4,10 @@ use std::path::Path;
 
 use image::codecs::jpeg::JpegEncoder;
 use image::imageops::{FilterType, resize};
+use point_skeleton::Log;
 use point_skeleton::cloud::npy;
 use point_skeleton::conditions::{CameraConditions, DepthBins, MapKind, png};
-use point_skeleton::dataset::{Dataset, ImageRecord};
+use point_skeleton::dataset::ImageRecord;
 use point_skeleton::error::FileError;
 use point_skeleton::geometry::ImageSize;
 use point_skeleton::scene::GroundTruthImages;
@@ -84,16 +85,16 @@ pub(crate) fn maps_for_8_bits(
 /// [`MissingData::Error`](point_skeleton::dataset::MissingData::Error).
 pub(crate) fn images_as_jpeg(
     shard: &mut Shard,
-    dataset: &dyn Dataset,
+    log: &Log,
     sample: &Sample<'_>,
     sizes: &[ImageSize],
     name: impl Fn(usize) -> String + Sync,
 ) -> Result<Vec<Encoded>, ExportError> {
-    let truth = GroundTruthImages::new(dataset);
+    let truth = GroundTruthImages::new(log.reader());
     let encode = |(camera, (image, size)): (usize, (&Option<&ImageRecord>, &ImageSize))| {
         let Some(record) = image else { return Ok(None) };
         let name = name(camera);
-        let Some(image) = dataset.log().unless_damaged(truth.of_record(record))? else { return Ok(None) };
+        let Some(image) = log.recording().unless_damaged(truth.of_record(record))? else { return Ok(None) };
         let image = resize(&image, size.width, size.height, FilterType::Triangle);
         let mut bytes = Vec::new();
         let encoded = JpegEncoder::new_with_quality(&mut bytes, QUALITY).encode_image(&image);

@@ -2,19 +2,18 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::mpsc::{Receiver, SyncSender};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Mutex, PoisonError};
 use std::time::Duration;
 
 use point_skeleton::conditions::ConditionOptions;
-use point_skeleton::dataset::{Dataset, DatasetError, LogLocator, VectorMap};
+use point_skeleton::dataset::{DatasetError, LogLocator};
 use point_skeleton::error::{FileError, with_causes};
 use point_skeleton::files::{Inputs, is_one_file};
 use point_skeleton::pipeline::write_beside;
 use point_skeleton::raster::RasterizerDesc;
-use point_skeleton::scene::SceneMap;
 use point_skeleton::skeleton::{self, BuildError, Skeleton};
 use point_skeleton::threads::{probe, spawn_scoped};
-use point_skeleton::{Maps, RenderOptions, Renderer};
+use point_skeleton::{Log, Maps, RenderOptions, Renderer};
 
 use crate::claim::claim;
 use crate::index::{Completeness, write_index};
@@ -28,7 +27,7 @@ use crate::{ExportError, ExportOptions, ListedLog, WorkList, WorkUnit};
 const PAUSE: Duration = Duration::from_millis(200);
 
 /// Opens a log.
-pub type OpenLog<'a> = &'a (dyn Fn(&LogLocator) -> Result<Box<dyn Dataset>, DatasetError> + Sync);
+pub type OpenLog<'a> = &'a (dyn Fn(&LogLocator) -> Result<Log, DatasetError> + Sync);
 
 /// Progress callback of an export, called from several threads.
 pub trait ExportProgress: Sync {
@@ -160,15 +159,15 @@ fn missing<'a>(
 }
 
 fn export_units(run: &Export<'_>, log: &ListedLog, report: &mut ExportReport) -> Result<(), ExportError> {
-    let dataset = (run.open)(&log.locator)?;
-    let recording = dataset.log();
+    let opened = (run.open)(&log.locator)?;
+    let recording = opened.recording();
     let path = run.skeletons.join(&log.name);
     let has_maps = run.options.layout.has_maps();
-    let map = if run.options.uses_map() { dataset.read_map()? } else { None };
+    let map = if run.options.uses_map() { opened.require_map()? } else { None };
     let input = ShardInput {
         log: recording.fingerprint(),
         skeleton: if has_maps { Skeleton::fingerprint_at(&path)? } else { None },
-        map: map.as_ref().map(VectorMap::fingerprint),
+        map: map.as_ref().map(|map| map.vector_map().fingerprint()),
         templates: if has_maps { run.options.substitutes.fingerprint()? } else { None },
     };
     let units = missing(run, log, &input, report);
@@ -177,12 +176,11 @@ fn export_units(run: &Export<'_>, log: &ListedLog, report: &mut ExportReport) ->
     }
     layout::check(run.options, recording)?;
     let options = run.options;
-    let map = map.map(|map| Arc::new(SceneMap::new(map, recording)));
     report.note(&recording.notes);
     let maps = options.rendered(map.is_some());
     let mut source = Source {
         listed: log,
-        dataset: dataset.as_ref(),
+        log: &opened,
         options,
         input,
         #[cfg(feature = "parquet")]
@@ -196,7 +194,7 @@ fn export_units(run: &Export<'_>, log: &ListedLog, report: &mut ExportReport) ->
         }
         return Ok(());
     }
-    let skeleton = open_or_build(&path, dataset.as_ref(), report)?;
+    let skeleton = open_or_build(&path, &opened, report)?;
     source.input.skeleton = Skeleton::fingerprint_at(&path)?;
     let (substitutes, _) = options.substitutes.make(&skeleton, &recording.name)?;
     let mut renderer = Renderer::new(
@@ -266,7 +264,7 @@ fn new_record(
 ) -> ShardRecord {
     ShardRecord {
         name: unit.name.clone(),
-        log: source.log().name.clone(),
+        log: source.recording().name.clone(),
         input: source.input.clone(),
         frames: [unit.frames.start, unit.frames.end],
         samples,
@@ -276,14 +274,10 @@ fn new_record(
 }
 
 /// Opens the skeleton of a log, or builds it; waits for another process that builds it.
-fn open_or_build(
-    path: &Path,
-    dataset: &dyn Dataset,
-    report: &mut ExportReport,
-) -> Result<Skeleton, ExportError> {
+fn open_or_build(path: &Path, log: &Log, report: &mut ExportReport) -> Result<Skeleton, ExportError> {
     let exists = Skeleton::is_at(path);
     loop {
-        match skeleton::open_or_build(path, dataset) {
+        match skeleton::open_or_build(path, log.reader()) {
             Err(BuildError::File(FileError::Busy { .. })) => std::thread::sleep(PAUSE),
             Err(error) => return Err(error.into()),
             Ok(skeleton) => {

@@ -14,7 +14,7 @@ use image::{Rgb, RgbImage};
 use mcap::{Message, MessageStream, Summary};
 use point_skeleton::conditions::{ConditionOptions, ImageSize, MapKind, MapSet};
 use point_skeleton::dataset::{
-    Class, Dataset, DatasetError, Frame, ImageRecord, LogFormat, LogLocator, LogOutline, Recording,
+    Class, DatasetError, Frame, ImageRecord, LogFormat, LogLocator, LogOutline, LogReader, Recording,
     RigCamera, Sweep, SweepPoint, SweepRecord, Track, TrackBox,
 };
 use point_skeleton::geometry::{Camera, Cuboid, Pose};
@@ -100,8 +100,8 @@ fn frame(index: usize) -> Frame {
     }
 }
 
-impl Dataset for Made {
-    fn log(&self) -> &Recording {
+impl LogReader for Made {
+    fn recording(&self) -> &Recording {
         &self.0
     }
 
@@ -142,7 +142,7 @@ fn run(folder: &Path, name: &str, layout: Layout, maps: MapSet) {
         out: &folder.join(name),
         skeletons: &folder.join("skeletons"),
         options: &options,
-        open: &|_| Ok(Box::new(Made::new())),
+        open: &|_| Ok(point_skeleton::Log::new(Box::new(Made::new()))),
         rasterizer: &RasterizerKind::Cpu.into(),
         jobs: 1,
         verify: false,

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use point_skeleton::dataset::{Area, Dataset, EgoTrack, Recording, VectorMap};
+use point_skeleton::dataset::{Area, EgoTrack, LogReader, Recording, VectorMap};
 use point_skeleton::files::text::printable_path;
 use point_skeleton::scene::{EgoOffset, SceneMap, frame_rate_hz, state_at, state_of_frame};
 
@@ -31,8 +31,8 @@ pub(crate) fn short(message: &str, input: &[u8]) {
 }
 
 /// Checks the guarantees of a log, and that its users can process it.
-pub(crate) fn dataset(dataset: &dyn Dataset, folder: &Path, input: &[u8]) {
-    let log = dataset.log();
+pub(crate) fn dataset(dataset: &dyn LogReader, folder: &Path, input: &[u8]) {
+    let log = dataset.recording();
     check_log(log);
     if let Some(points) = dataset.box_points() {
         let counts: Vec<usize> = points.iter().map(Vec::len).collect();

@@ -5,7 +5,7 @@ use std::path::Path;
 use glam::{DMat3, DQuat, DVec2, DVec3};
 use image::{Rgb, RgbImage};
 use point_skeleton::dataset::{
-    Area, Class, Dataset, DatasetError, Frame, ImageRecord, Lane, Recording, RigCamera, Sweep, SweepPoint,
+    Area, Class, DatasetError, Frame, ImageRecord, Lane, LogReader, Recording, RigCamera, Sweep, SweepPoint,
     SweepRecord, Track, TrackBox, VectorMap,
 };
 use point_skeleton::geometry::{Camera, Cuboid, Pose};
@@ -90,8 +90,8 @@ fn frame(index: usize) -> Frame {
     }
 }
 
-impl Dataset for Made {
-    fn log(&self) -> &Recording {
+impl LogReader for Made {
+    fn recording(&self) -> &Recording {
         &self.0
     }
 

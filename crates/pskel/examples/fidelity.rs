@@ -8,12 +8,12 @@ use std::path::PathBuf;
 
 use clap::Parser;
 use point_skeleton::conditions::{ConditionOptions, ImageSize, MapKind, MapSet, reduce};
-use point_skeleton::dataset::{Dataset, EgoTrack, ImageRecord};
+use point_skeleton::dataset::{EgoTrack, ImageRecord};
 use point_skeleton::files::FileName;
 use point_skeleton::raster::RasterizerKind;
 use point_skeleton::scene::{EgoOffset, Substitutes, state_of_frame, state_of_images};
 use point_skeleton::skeleton::{self, BuildInput, BuildOptions, BuildRun, SplitOptions};
-use point_skeleton::{RenderOptions, Renderer};
+use point_skeleton::{Log, RenderOptions, Renderer};
 use pskel::logs;
 use pskel_eval::{FilledError, compare_filled};
 
@@ -59,13 +59,12 @@ const SIZE: ImageSize = ImageSize { height: 900, width: 1600 };
 fn main() -> anyhow::Result<()> {
     let args = Args::parse();
     let log = logs::open(&logs::locate(&args.log)?)?;
-    let log = log.as_ref();
-    let frames = log.log().frames.len();
+    let frames = log.recording().frames.len();
     let kept: Vec<usize> = (0..frames).step_by(2).collect();
     let options = build_options(&args);
     let start = std::time::Instant::now();
     let folder = tempfile::tempdir()?;
-    let input = BuildInput { dataset: log, frames: kept.clone() };
+    let input = BuildInput { reader: log.reader(), frames: kept.clone() };
     let path = folder.path().join("skeleton");
     let skeleton = skeleton::build(&path, &[input], &options, &|_| Ok(Vec::new()), &BuildRun::default())?;
     println!(
@@ -79,16 +78,16 @@ fn main() -> anyhow::Result<()> {
         conditions: ConditionOptions { maps, size: Some(SIZE), ..ConditionOptions::default() },
         rasterizer: args.rasterizer.into(),
         substitutes: &Substitutes::NONE,
-        log: Some(&log.log().name),
+        log: Some(&log.recording().name),
         ..RenderOptions::default()
     };
     let mut renderer = Renderer::new(&skeleton, render)?;
-    let ego = EgoTrack::new(log.log());
+    let ego = EgoTrack::new(log.recording());
     let mut errors = Vec::new();
     for frame in (1..frames).step_by(2 * args.stride) {
-        errors.extend(compare_frame((log, &ego), frame, &mut renderer, &args)?);
+        errors.extend(compare_frame((&log, &ego), frame, &mut renderer, &args)?);
     }
-    report(&log.log().cameras, &errors);
+    report(&log.recording().cameras, &errors);
     Ok(())
 }
 
@@ -111,12 +110,12 @@ fn build_options(args: &Args) -> BuildOptions {
 /// Compares the images of a frame with the maps of the skeleton at each image's own time: actors move between the images
 /// of a frame.
 fn compare_frame(
-    (dataset, ego): (&dyn Dataset, &EgoTrack),
+    (source, ego): (&Log, &EgoTrack),
     frame: usize,
     renderer: &mut Renderer<'_>,
     args: &Args,
 ) -> anyhow::Result<Vec<(usize, FilledError)>> {
-    let log = dataset.log();
+    let log = source.recording();
     let mut errors = Vec::new();
     for record in &log.frames[frame].images {
         let state = if args.frame_time {
@@ -131,7 +130,7 @@ fn compare_frame(
         let Some(map) = maps.cameras().first().and_then(|maps| maps.color.as_ref()) else {
             anyhow::bail!("no map of {name}, frame {frame}")
         };
-        let truth = truth(dataset, record)?;
+        let truth = truth(source, record)?;
         if let Some(out) = &args.out {
             std::fs::create_dir_all(out)?;
             save(&out.join(format!("{frame:06}-{name}-map.png")), map)?;
@@ -153,8 +152,8 @@ fn save(path: &std::path::Path, pixels: &[[u8; 3]]) -> anyhow::Result<()> {
 }
 
 /// Returns the image at [`SIZE`], reduced with PIL's BILINEAR filter.
-fn truth(log: &dyn Dataset, record: &ImageRecord) -> anyhow::Result<Vec<[u8; 3]>> {
-    let image = log.read_image(record)?;
+fn truth(log: &Log, record: &ImageRecord) -> anyhow::Result<Vec<[u8; 3]>> {
+    let image = log.reader().read_image(record)?;
     let from = ImageSize { height: image.height(), width: image.width() };
     let pixels: Vec<[u8; 3]> = image.pixels().map(|p| p.0).collect();
     Ok(reduce::pil_bilinear(&pixels, from, SIZE))

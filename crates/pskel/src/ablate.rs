@@ -108,8 +108,8 @@ pub(super) fn run(args: &AblateArgs) -> anyhow::Result<()> {
     for locator in &args.logs {
         let context = || format!("log {locator}");
         let opened = logs::open_recording(&args.roots.locate(locator));
-        let (name, dataset) = opened.with_context(context)?;
-        study.add_scene(&name, dataset.as_ref(), &rasterizer, &mut on_result).with_context(context)?;
+        let (name, log) = opened.with_context(context)?;
+        study.add_scene(&name, &log, &rasterizer, &mut on_result).with_context(context)?;
     }
     drop(progress);
     say(study.finish()?.table().trim_end());
@@ -130,7 +130,7 @@ impl AblateArgs {
         let Some(first) = self.logs.first() else { return Ok(0) };
         let opened = logs::open(&self.roots.locate(first));
         let dataset = opened.with_context(|| format!("log {first}"))?;
-        Ok(dataset.log().cameras.len())
+        Ok(dataset.recording().cameras.len())
     }
 
     /// Checks that tables which compare other weights are requested together with these weights.

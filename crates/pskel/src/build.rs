@@ -4,8 +4,9 @@ use std::str::FromStr;
 use std::time::Instant;
 
 use clap::Args;
+use point_skeleton::Log;
 use point_skeleton::cloud::Point;
-use point_skeleton::dataset::{Dataset, LogLocator};
+use point_skeleton::dataset::LogLocator;
 use point_skeleton::files::Inputs;
 use point_skeleton::files::text::printable;
 use point_skeleton::skeleton::{
@@ -106,8 +107,8 @@ pub(super) fn run(args: BuildArgs) -> anyhow::Result<()> {
     }
     let given = read_templates(&args.templates)?;
     let library = args.templates_from.as_deref().map(TemplateLibrary::open).transpose()?.unwrap_or_default();
-    let datasets = args.open()?;
-    let inputs = datasets.iter().map(|dataset| args.input(dataset.as_ref()));
+    let logs = args.open()?;
+    let inputs = logs.iter().map(|log| args.input(log));
     let inputs: Vec<BuildInput> = inputs.collect::<anyhow::Result<_>>()?;
     let progress = StageProgress::default();
     let run =
@@ -138,21 +139,21 @@ impl BuildArgs {
         Inputs::new(logs.iter().flat_map(LogLocator::inputs)).and(templates).and(&self.templates_from)
     }
 
-    fn open(&self) -> anyhow::Result<Vec<Box<dyn Dataset>>> {
+    fn open(&self) -> anyhow::Result<Vec<Log>> {
         let mut opened = Vec::new();
         for log in &self.logs {
             for log in logs::expand(&self.roots.locate(log))? {
-                let dataset = logs::open(&log)?;
-                log_args::warn_of_gaps(dataset.log());
-                opened.push(dataset);
+                let log = logs::open(&log)?;
+                log_args::warn_of_gaps(log.recording());
+                opened.push(log);
             }
         }
         Ok(opened)
     }
 
-    fn input<'a>(&self, dataset: &'a dyn Dataset) -> anyhow::Result<BuildInput<'a>> {
-        let frames = FrameRange::of(self.frames, dataset.log().frames.len())?;
-        Ok(BuildInput { dataset, frames: frames.step_by(self.every as usize).collect() })
+    fn input<'a>(&self, log: &'a Log) -> anyhow::Result<BuildInput<'a>> {
+        let frames = FrameRange::of(self.frames, log.recording().frames.len())?;
+        Ok(BuildInput { reader: log.reader(), frames: frames.step_by(self.every as usize).collect() })
     }
 
     fn options(&self) -> BuildOptions {

@@ -6,7 +6,7 @@ use std::time::Instant;
 
 use clap::Args;
 use point_skeleton::conditions::{ConditionOptions, ImageSize};
-use point_skeleton::dataset::{Dataset, LogLocator};
+use point_skeleton::dataset::{LogLocator, LogReader};
 use point_skeleton::error::FileError;
 use point_skeleton::files::{Inputs, OutputFile};
 use point_skeleton::raster::SplatSchedule;
@@ -77,7 +77,7 @@ pub(super) fn run(args: &FidelityArgs) -> anyhow::Result<()> {
     ];
     let [json, csv, markdown] = outputs::open(files, &inputs, None)?;
     let town = logs::open_town(&args.log)?;
-    let log = town.log();
+    let log = town.recording();
     let skeleton = skeletons::open_for(&args.skeleton, log)?;
     let frames = FrameRange::of(args.frames, log.frames.len())?;
     let (substitutes, _) = args.stand_ins.options().make(&skeleton, &log.name)?;

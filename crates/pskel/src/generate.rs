@@ -90,14 +90,14 @@ pub(super) fn run(args: GenerateArgs) -> anyhow::Result<()> {
     let (log, roots, out) = (args.log.clone(), args.roots.clone(), args.out.clone());
     let open = |folder: PathBuf| -> anyhow::Result<_> {
         let copy = DatasetCopy::open(&log.path, &folder, Some(&out))?;
-        copy.check(roots.open(&log)?.log())?;
+        copy.check(roots.open(&log)?.recording())?;
         Ok((folder, copy))
     };
     let copy = args.dataset.clone().map(open).transpose()?;
     simulate::run(args.simulation())?;
     if let Some((folder, copy)) = copy {
-        let dataset = roots.open(&log)?;
-        let counts = copy.write(&[CopiedLog { log: dataset.log(), rollout: &out }])?;
+        let log = roots.open(&log)?;
+        let counts = copy.write(&[CopiedLog { log: log.recording(), rollout: &out }])?;
         say(&format!("{} images replaced, {} kept: {}", counts.replaced, counts.kept, folder.display()));
     }
     Ok(())

@@ -2,9 +2,9 @@ use std::path::PathBuf;
 
 use clap::Args;
 use clap::builder::{PathBufValueParser, TypedValueParser};
+use point_skeleton::Log;
 use point_skeleton::dataset::{
-    Dataset, DatasetError, ImageDistortion, LogLocator, LogOpener, MissingData, ReadOptions, Recording,
-    RingMeaning,
+    DatasetError, ImageDistortion, LogLocator, LogOpener, MissingData, ReadOptions, Recording, RingMeaning,
 };
 #[cfg(feature = "network")]
 use point_skeleton::files::Inputs;
@@ -74,19 +74,15 @@ impl LogRoots {
     }
 
     /// Opens a log, and warns if parts of it are missing.
-    pub(super) fn open(&self, log: &LogLocator) -> Result<Box<dyn Dataset>, DatasetError> {
+    pub(super) fn open(&self, log: &LogLocator) -> Result<Log, DatasetError> {
         self.open_by(log, &LogOpener::new())
     }
 
     /// Opens a log by an opener that may have read tables of it, and warns if parts of it are missing.
-    pub(super) fn open_by(
-        &self,
-        log: &LogLocator,
-        opener: &LogOpener,
-    ) -> Result<Box<dyn Dataset>, DatasetError> {
-        let dataset = logs::open_by(&self.locate(log), opener)?;
-        warn_of_gaps(dataset.log());
-        Ok(dataset)
+    pub(super) fn open_by(&self, log: &LogLocator, opener: &LogOpener) -> Result<Log, DatasetError> {
+        let log = logs::open_by(&self.locate(log), opener)?;
+        warn_of_gaps(log.recording());
+        Ok(log)
     }
 }
 

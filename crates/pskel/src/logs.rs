@@ -6,7 +6,8 @@ mod town;
 #[cfg(feature = "town")]
 pub use town::open_town;
 
-use point_skeleton::dataset::{self, Dataset, DatasetError, LogLocator, LogOpener, LogOutline};
+use point_skeleton::Log;
+use point_skeleton::dataset::{self, DatasetError, LogLocator, LogOpener, LogOutline};
 
 /// Formats in error messages.
 const FORMATS: &str = if cfg!(feature = "town") {
@@ -49,7 +50,7 @@ pub fn expand(locator: &LogLocator) -> Result<Vec<LogLocator>, DatasetError> {
 pub fn outline(locator: &LogLocator, opener: &LogOpener) -> Result<LogOutline, DatasetError> {
     #[cfg(feature = "town")]
     if town::is_town(locator) {
-        return open(locator).map(|town| LogOutline::of(town.log()));
+        return open(locator).map(|town| LogOutline::of(town.recording()));
     }
     opener.outline(locator)
 }
@@ -58,7 +59,7 @@ pub fn outline(locator: &LogLocator, opener: &LogOpener) -> Result<LogOutline, D
 ///
 /// # Errors
 /// Fails if the locator is invalid. Returns any error of the format's reader.
-pub fn open(locator: &LogLocator) -> Result<Box<dyn Dataset>, DatasetError> {
+pub fn open(locator: &LogLocator) -> Result<Log, DatasetError> {
     open_by(locator, &LogOpener::new())
 }
 
@@ -66,12 +67,12 @@ pub fn open(locator: &LogLocator) -> Result<Box<dyn Dataset>, DatasetError> {
 ///
 /// # Errors
 /// Fails as [`open`].
-pub fn open_by(locator: &LogLocator, opener: &LogOpener) -> Result<Box<dyn Dataset>, DatasetError> {
+pub fn open_by(locator: &LogLocator, opener: &LogOpener) -> Result<Log, DatasetError> {
     #[cfg(feature = "town")]
     if town::is_town(locator) {
-        return Ok(Box::new(open_town(locator)?));
+        return Ok(Log::new(Box::new(open_town(locator)?)));
     }
-    opener.open(locator)
+    opener.open(locator).map(Log::new)
 }
 
 /// Opens a log and returns it with the name of its recording: that of the log, for towns with their options, since skeletons of
@@ -80,14 +81,14 @@ pub fn open_by(locator: &LogLocator, opener: &LogOpener) -> Result<Box<dyn Datas
 /// # Errors
 /// Fails as [`open`].
 #[cfg(feature = "network")]
-pub fn open_recording(locator: &LogLocator) -> Result<(String, Box<dyn Dataset>), DatasetError> {
+pub fn open_recording(locator: &LogLocator) -> Result<(String, Log), DatasetError> {
     #[cfg(feature = "town")]
     if town::is_town(locator) {
         let town = open_town(locator)?;
-        return Ok((town.recording(), Box::new(town)));
+        return Ok((town.recording_name(), Log::new(Box::new(town))));
     }
-    let dataset = open(locator)?;
-    Ok((dataset.log().name.clone(), dataset))
+    let log = open(locator)?;
+    Ok((log.name().to_owned(), log))
 }
 
 #[cfg(all(test, feature = "town"))]

@@ -9,13 +9,14 @@ use std::time::Instant;
 
 use anyhow::Context;
 use clap::{Args, ValueEnum};
+use point_skeleton::Log;
 use point_skeleton::conditions::meta::PromptParts;
 use point_skeleton::conditions::{Captions, ConditionOptions, MapFormat};
-use point_skeleton::dataset::{Dataset, LogFormat, LogLocator, LogOpener};
+use point_skeleton::dataset::{LogFormat, LogLocator, LogOpener};
 use point_skeleton::error::{FileError, with_causes};
 use point_skeleton::files::input::is_there;
 use point_skeleton::files::{Inputs, OutputFolder, write_json, write_whole};
-use point_skeleton::scene::{SceneMap, SelectionOptions, SubstituteOptions};
+use point_skeleton::scene::{SelectionOptions, SubstituteOptions};
 use point_skeleton::skeleton;
 use pskel_eval::protocol::{Clip, Part, PartRollouts, Protocol, ProtocolReport, check_settings};
 use pskel_generate::{CopiedLog, DatasetCopy, DenoiserRig};
@@ -130,7 +131,7 @@ struct Run<'a> {
     /// Parts and their rollouts so far.
     parts: Vec<PartRollouts>,
     /// Logs whose images are copied into a data set, with their rollouts.
-    copied: Vec<(Rc<dyn Dataset>, PathBuf)>,
+    copied: Vec<(Rc<Log>, PathBuf)>,
     /// Names of the logs with rollouts.
     logs: Vec<String>,
 }
@@ -238,9 +239,10 @@ impl ProtocolArgs {
     /// frames.
     fn settle(&self, logs: &[LogLocator], opener: &LogOpener, files: &OutputFolder) -> anyhow::Result<usize> {
         let first = logs.first().context("expected a recording, found none")?;
-        let dataset = logs::open_by(first, opener)?;
+        let log = logs::open_by(first, opener)?;
         let rates = Rates::of(first.format);
-        let opened = self.generating.open(&self.generator, &DenoiserRig::of(dataset.log(), rates.plan_hz))?;
+        let opened =
+            self.generating.open(&self.generator, &DenoiserRig::of(log.recording(), rates.plan_hz))?;
         let settings = serde_json::to_value(Settings {
             protocol: self.protocol.name(),
             generator: serde_json::to_value(opened.report())?,
@@ -262,18 +264,18 @@ impl ProtocolArgs {
 impl Run<'_> {
     /// Generates the clips of a log in all parts, after building its skeleton if it does not exist.
     fn generate(&mut self, locator: &LogLocator) -> anyhow::Result<()> {
-        let dataset: Rc<dyn Dataset> = logs::open_by(locator, &self.opener)?.into();
-        let log = dataset.log();
+        let source = Rc::new(logs::open_by(locator, &self.opener)?);
+        let log = source.recording();
         anyhow::ensure!(!self.logs.contains(&log.name), "expected each name once, found {} again", log.name);
         self.copy.as_ref().map_or(Ok(()), |copy| copy.check(log))?;
         let skeleton = self.args.skeletons.join(&log.name);
         if !skeleton.exists() {
             tell(&format!("building {}", skeleton.display()));
         }
-        let built = skeleton::open_or_build(&skeleton, dataset.as_ref())?;
+        let built = skeleton::open_or_build(&skeleton, source.reader())?;
         let limit = self.args.clips.map_or(usize::MAX, usize::from);
         let rates = Rates::of(locator.format);
-        let scenario = Scenario { log, map: SceneMap::read(dataset.as_ref())?, rates };
+        let scenario = Scenario { log, map: source.require_map()?, rates };
         let paths =
             InputPaths { log: &locator.path, skeleton: &skeleton, prompt: self.args.annotations.as_deref() };
         let prompt = &self.args.prompt()?;
@@ -297,7 +299,7 @@ impl Run<'_> {
         for (place, clip, out) in done {
             let part = &mut self.parts[place];
             if part.part.copies_dataset {
-                self.copied.push((Rc::clone(&dataset), out.clone()));
+                self.copied.push((Rc::clone(&source), out.clone()));
             }
             part.frames += clip.frames - self.references;
             part.folders.push(out);
@@ -359,9 +361,8 @@ impl Run<'_> {
         write_whole(&path, |out| {
             std::io::Write::write_all(out, table.as_bytes()).map_err(FileError::io("write", &path))
         })?;
-        let logs: Vec<CopiedLog<'_>> = (self.copied.iter())
-            .map(|(dataset, rollout)| CopiedLog { log: dataset.log(), rollout })
-            .collect();
+        let logs: Vec<CopiedLog<'_>> =
+            (self.copied.iter()).map(|(log, rollout)| CopiedLog { log: log.recording(), rollout }).collect();
         if let Some(copy) = self.copy.filter(|_| !logs.is_empty()) {
             let counts = copy.write(&logs)?;
             let place = dataset.display();

@@ -4,9 +4,10 @@ use std::time::Instant;
 
 use anyhow::Context;
 use clap::Args;
+use point_skeleton::Log;
 use point_skeleton::cloud::Point;
 use point_skeleton::conditions::template_preview;
-use point_skeleton::dataset::{self, Dataset, LogLocator};
+use point_skeleton::dataset::{self, LogLocator};
 use point_skeleton::files::Inputs;
 use point_skeleton::skeleton::{
     self, Asset, BuildError, BuildInput, BuildOptions, BuildRun, Instances, LogSource, Skeleton,
@@ -102,9 +103,9 @@ fn read(args: &TemplatesArgs, instances: &mut Instances, scratch: &Path) -> anyh
             }
             Target::Log(locator) => {
                 for log in logs::expand(&args.roots.locate(locator))? {
-                    let dataset = logs::open(&log)?;
-                    let name = dataset.log().shown_name();
-                    let built = build(&scratch.join("skeleton"), dataset.as_ref());
+                    let log = logs::open(&log)?;
+                    let name = log.recording().shown_name();
+                    let built = build(&scratch.join("skeleton"), &log);
                     sources.extend(instances.add_skeleton(&built.with_context(|| format!("log {name}"))?)?);
                     progress.step(&name);
                 }
@@ -115,10 +116,10 @@ fn read(args: &TemplatesArgs, instances: &mut Instances, scratch: &Path) -> anyh
 }
 
 /// Builds a skeleton of all frames of a log.
-fn build(out: &Path, dataset: &dyn Dataset) -> Result<Skeleton, BuildError> {
+fn build(out: &Path, log: &Log) -> Result<Skeleton, BuildError> {
     let progress = StageProgress::default();
     let run = BuildRun { progress: &progress, ..BuildRun::default() };
-    let inputs = [BuildInput::all(dataset)];
+    let inputs = [BuildInput::all(log.reader())];
     let built = skeleton::build(out, &inputs, &BuildOptions::default(), &|_| Ok(Vec::new()), &run);
     built.map_err(|error| match error {
         // The partial build is temporary, so it cannot be resumed.

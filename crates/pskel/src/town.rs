@@ -6,7 +6,7 @@ use std::time::Instant;
 
 use clap::Args;
 use point_skeleton::conditions::ImageSize;
-use point_skeleton::dataset::{Dataset, Recording};
+use point_skeleton::dataset::{LogReader, Recording};
 use point_skeleton::files::{Inputs, WholeFolder};
 use pskel_town::{Daylight, Town, TownOptions, WriteError};
 
@@ -63,21 +63,21 @@ pub(super) fn run(args: &TownArgs) -> anyhow::Result<()> {
     let out = WholeFolder::open(&args.out, "town", &Inputs::default())?;
     let town = Town::new(&options)?;
     out.write(|folder| {
-        let progress = Mutex::new(Progress::new(town.log().frames.len()));
+        let progress = Mutex::new(Progress::new(town.recording().frames.len()));
         let frame_done = |index: usize| {
             let mut progress = progress.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
             progress.step(&format!("frame {index:06}"));
         };
         town.write(folder, &frame_done)?;
         if args.truth {
-            let mut progress = Progress::new(town.log().frames.len());
+            let mut progress = Progress::new(town.recording().frames.len());
             town.write_truth(folder, &mut |index| progress.step(&format!("truth {index:06}")))?;
         }
         Ok::<_, WriteError>(())
     })?;
     say(&format!(
         "{} in {:.2} s: {}",
-        summary(town.log()),
+        summary(town.recording()),
         start.elapsed().as_secs_f64(),
         args.out.display()
     ));

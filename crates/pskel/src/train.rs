@@ -168,15 +168,14 @@ impl TrainArgs {
         let mut progress = Progress::new(self.logs.len());
         let (mut clips, mut shares, mut names) = (Vec::new(), Vec::new(), Vec::new());
         for (place, locator) in self.logs.iter().enumerate() {
-            let (name, dataset) = logs::open_recording(&self.roots.locate(locator))?;
+            let (name, log) = logs::open_recording(&self.roots.locate(locator))?;
             let file = FileName::new(&name).with_context(|| format!("log {locator}"))?;
             anyhow::ensure!(
                 !names.contains(&file),
                 "expected logs of different names, found {file} again: {locator}"
             );
             names.push(file);
-            let recorded =
-                recorder.clips(&name, dataset.as_ref()).with_context(|| format!("log {locator}"))?;
+            let recorded = recorder.clips(&name, &log).with_context(|| format!("log {locator}"))?;
             let frames: usize = recorded.iter().map(|clip| clip.frames.len()).sum();
             let weight = self.weights.as_ref().map_or(frames as f64, |weights| weights[place]);
             shares.extend(recorded.iter().map(|clip| weight * clip.frames.len() as f64 / frames as f64));

@@ -9,7 +9,7 @@
 //!    produce triangles with a skin ([`mesh`]).
 //! 3. `lidar` casts beams against the triangles; [`view`] renders them, with ground-truth depth, class and instance
 //!    of each pixel.
-//! 4. [`Town`] (`drive`) exposes the result as a [`Dataset`](point_skeleton::dataset::Dataset). It generates sweeps and images
+//! 4. [`Town`] (`drive`) exposes the result as a [`LogReader`](point_skeleton::dataset::LogReader). It generates sweeps and images
 //!    when they are read, and renders ground truth for any camera pose.
 //!
 

@@ -26,7 +26,7 @@ use std::path::PathBuf;
 
 use super::limits::check_roots;
 use super::{
-    Dataset, DatasetError, ImageRecord, LogLocator, Recording, RingMeaning, Sweep, SweepRecord, VectorMap,
+    DatasetError, ImageRecord, LogLocator, LogReader, Recording, RingMeaning, Sweep, SweepRecord, VectorMap,
     read_picture,
 };
 use crate::error::FileError;
@@ -72,8 +72,8 @@ pub fn expand(locator: &LogLocator) -> Result<Vec<LogLocator>, DatasetError> {
     choose::expand(locator)
 }
 
-impl Dataset for Argoverse {
-    fn log(&self) -> &Recording {
+impl LogReader for Argoverse {
+    fn recording(&self) -> &Recording {
         &self.log
     }
 

@@ -28,7 +28,7 @@ pub use place::expand;
 use std::path::Path;
 
 use super::{
-    Dataset, DatasetError, ImageRecord, LogLocator, Recording, Sweep, SweepRecord, VectorMap, read_picture,
+    DatasetError, ImageRecord, LogLocator, LogReader, Recording, Sweep, SweepRecord, VectorMap, read_picture,
 };
 use crate::dataset::sweeps::RingDecision;
 use crate::dataset::sweeps::pcd::pcd_rows;
@@ -61,8 +61,8 @@ impl NuPlan {
     }
 }
 
-impl Dataset for NuPlan {
-    fn log(&self) -> &Recording {
+impl LogReader for NuPlan {
+    fn recording(&self) -> &Recording {
         &self.log
     }
 

@@ -35,7 +35,7 @@ use std::path::PathBuf;
 use super::limits::check_roots;
 use super::sweeps::RingDecision;
 use super::{
-    Dataset, DatasetError, ImageRecord, LogLocator, Recording, Sweep, SweepRecord, VectorMap, read_picture,
+    DatasetError, ImageRecord, LogLocator, LogReader, Recording, Sweep, SweepRecord, VectorMap, read_picture,
 };
 use crate::files::input::DataRoot;
 
@@ -77,8 +77,8 @@ impl NuScenes {
     }
 }
 
-impl Dataset for NuScenes {
-    fn log(&self) -> &Recording {
+impl LogReader for NuScenes {
+    fn recording(&self) -> &Recording {
         &self.log
     }
 

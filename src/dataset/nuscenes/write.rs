@@ -8,7 +8,7 @@ use serde_json::{Value, json};
 
 use super::write_map::{MapLayers, picture_name, write_map};
 use super::write_sweep_file;
-use crate::dataset::{Dataset, DatasetError, Frame, ImageRecord, Recording, Sweep, SweepRecord};
+use crate::dataset::{DatasetError, Frame, ImageRecord, LogReader, Recording, Sweep, SweepRecord};
 use crate::error::FileError;
 use crate::files::{write_json, write_whole};
 use crate::geometry::Pose;
@@ -23,7 +23,7 @@ const QUALITY: u8 = 95;
 /// # Errors
 /// Returns any error of the log. Fails if a frame has more than one LiDAR, a camera has lens distortion (which the
 /// tables cannot represent), or a file cannot be written.
-pub fn write_log(root: &Path, version: &str, dataset: &dyn Dataset) -> Result<(), DatasetError> {
+pub fn write_log(root: &Path, version: &str, dataset: &dyn LogReader) -> Result<(), DatasetError> {
     LogWriter { version, map: None, frame_done: &|_| () }.write(root, dataset)
 }
 
@@ -42,8 +42,8 @@ impl LogWriter<'_> {
     ///
     /// # Errors
     /// Fails as [`write_log`] and [`write_map`](super::write_map()).
-    pub fn write(&self, root: &Path, dataset: &dyn Dataset) -> Result<(), DatasetError> {
-        refuse_distortion(dataset.log(), root)?;
+    pub fn write(&self, root: &Path, dataset: &dyn LogReader) -> Result<(), DatasetError> {
+        refuse_distortion(dataset.recording(), root)?;
         let mut tables = Tables::default();
         let map = self.map.map(|layers| Ok::<_, DatasetError>(dataset.read_map()?.map(|map| (map, layers))));
         if let Some((map, layers)) = map.transpose()?.flatten() {
@@ -58,11 +58,11 @@ impl LogWriter<'_> {
 
 fn write_files(
     root: &Path,
-    dataset: &dyn Dataset,
+    dataset: &dyn LogReader,
     tables: &mut Tables,
     frame_done: &dyn Fn(usize),
 ) -> Result<(), DatasetError> {
-    let log = dataset.log();
+    let log = dataset.recording();
     for channel in &log.cameras {
         make_folders(root, channel)?;
     }
@@ -198,8 +198,8 @@ impl Tables {
     }
 
     /// Adds the records that do not depend on frames.
-    fn fixed(&mut self, dataset: &dyn Dataset) {
-        let log = dataset.log();
+    fn fixed(&mut self, dataset: &dyn LogReader) {
+        let log = dataset.recording();
         let (scene, record) = (token(Kind::Other, 0), token(Kind::Other, 1));
         self.rows("scene").push(json!({
             "token": scene, "log_token": record, "nbr_samples": log.frames.len(), "name": log.name,
@@ -242,8 +242,8 @@ impl Tables {
         }
     }
 
-    fn frame(&mut self, dataset: &dyn Dataset, index: usize, counts: &[usize]) {
-        let log = dataset.log();
+    fn frame(&mut self, dataset: &dyn LogReader, index: usize, counts: &[usize]) {
+        let log = dataset.recording();
         let frame = &log.frames[index];
         self.rows("sample").push(json!({
             "token": token(Kind::Sample, index), "timestamp": frame.t_us, "scene_token": token(Kind::Other, 0),
@@ -358,8 +358,8 @@ mod tests {
     /// A log with one camera and no frames.
     struct Bare(Recording);
 
-    impl Dataset for Bare {
-        fn log(&self) -> &Recording {
+    impl LogReader for Bare {
+        fn recording(&self) -> &Recording {
             &self.0
         }
 

@@ -27,7 +27,7 @@ use self::builder::Builder;
 use self::checkpoint::{Plan, PlannedLog, Unfinished};
 use self::stream::Stream;
 use super::{BuildOptions, GenerateTemplates, Skeleton, SkeletonWriter};
-use crate::dataset::Dataset;
+use crate::dataset::LogReader;
 use crate::files::Inputs;
 use crate::files::input::is_taken;
 
@@ -76,15 +76,15 @@ pub fn build(
 /// # Errors
 /// Fails if the skeleton is damaged or of another recording, even of one with the same name. Returns any error of
 /// [`build()`].
-pub fn open_or_build(path: &Path, dataset: &dyn Dataset) -> Result<Skeleton, BuildError> {
+pub fn open_or_build(path: &Path, reader: &dyn LogReader) -> Result<Skeleton, BuildError> {
     if !is_free(path) {
-        let skeleton = Skeleton::open_for(path, dataset.log())?;
-        skeleton.check_recording(dataset.log())?;
+        let skeleton = Skeleton::open_for(path, reader.recording())?;
+        skeleton.check_recording(reader.recording())?;
         Unfinished::remove_leftovers(path);
         return Ok(skeleton);
     }
     let options = BuildOptions::default();
-    build(path, &[BuildInput::all(dataset)], &options, &|_| Ok(Vec::new()), &BuildRun::default())
+    build(path, &[BuildInput::all(reader)], &options, &|_| Ok(Vec::new()), &BuildRun::default())
 }
 
 /// Returns whether a path has nothing or an empty folder, like a mount point.

@@ -1,20 +1,20 @@
 //! Request of a build: input frames, execution options.
 
-use crate::dataset::Dataset;
+use crate::dataset::LogReader;
 
 /// Frames of a log used in a build.
 #[derive(Clone)]
 pub struct BuildInput<'a> {
     /// Source log.
-    pub dataset: &'a dyn Dataset,
+    pub reader: &'a dyn LogReader,
     /// Indices of the frames, in time order. Sweeps, images and boxes of others are ignored.
     pub frames: Vec<usize>,
 }
 
 impl<'a> BuildInput<'a> {
     /// Selects all frames of a log.
-    pub fn all(dataset: &'a dyn Dataset) -> Self {
-        Self { dataset, frames: (0..dataset.log().frames.len()).collect() }
+    pub fn all(reader: &'a dyn LogReader) -> Self {
+        Self { reader, frames: (0..reader.recording().frames.len()).collect() }
     }
 }
 

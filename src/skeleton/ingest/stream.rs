@@ -13,7 +13,7 @@ use rayon::prelude::*;
 use super::color;
 use super::error::BuildError;
 use super::request::{BuildInput, Progress};
-use crate::dataset::{Dataset, DatasetError, Frame, ImageRecord, Recording, SweepRecord, TrackBox};
+use crate::dataset::{DatasetError, Frame, ImageRecord, LogReader, Recording, SweepRecord, TrackBox};
 use crate::geometry::View;
 use crate::skeleton::sweep::SweepCloud;
 use crate::skeleton::{
@@ -27,7 +27,7 @@ const BLOCK: usize = 1024;
 
 /// Reader of a log for a build.
 pub(super) struct Stream<'a> {
-    dataset: &'a dyn Dataset,
+    reader: &'a dyn LogReader,
     pub(super) log: &'a Recording,
     pub(super) frames: Vec<&'a Frame>,
     pub(super) trajectories: Trajectories,
@@ -48,13 +48,13 @@ pub(super) struct FrameCloud {
 
 impl<'a> Stream<'a> {
     pub(super) fn new(input: &BuildInput<'a>, options: &'a BuildOptions) -> Result<Self, BuildError> {
-        let log = input.dataset.log();
+        let log = input.reader.recording();
         let frame =
             |&i: &usize| log.frames.get(i).ok_or(BuildError::Frame { frames: log.frames.len(), found: i });
         let frames: Vec<&Frame> = input.frames.iter().map(frame).collect::<Result<_, _>>()?;
         let trajectories = Trajectories::new(log, &frames);
         let has_images = frames.iter().any(|f| !f.images.is_empty());
-        Ok(Self { dataset: input.dataset, log, frames, trajectories, options, has_images })
+        Ok(Self { reader: input.reader, log, frames, trajectories, options, has_images })
     }
 
     /// Returns two half widths in frames: of the images that may color a point, and of the sweeps that determine
@@ -156,7 +156,7 @@ impl<'a> Stream<'a> {
     }
 
     fn read_sweep(&self, frame: &Frame, record: &SweepRecord) -> Result<SweepCloud, DatasetError> {
-        let sweep = self.dataset.read_sweep(record)?;
+        let sweep = self.reader.read_sweep(record)?;
         let boxes = self.boxes_at(frame, record.t_us);
         let splitter = Splitter::new(&boxes, &self.trajectories, record.t_us, &self.options.split);
         let mut cloud = SweepCloud::split(&sweep, record, &splitter, &self.options.split);
@@ -195,7 +195,7 @@ impl<'a> Stream<'a> {
         progress: &dyn Progress,
     ) -> Result<Vec<ColorView>, BuildError> {
         let view = |record: &&ImageRecord| {
-            let image = self.dataset.read_image(record)?;
+            let image = self.reader.read_image(record)?;
             let view = View {
                 camera: record.camera.clone(),
                 camera_from_world: record.camera_from_global().affine(),

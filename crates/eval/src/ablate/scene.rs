@@ -4,11 +4,11 @@ use std::path::Path;
 
 use image::RgbImage;
 use point_skeleton::conditions::{CameraConditions, ConditionSet, MapKind};
-use point_skeleton::dataset::{Dataset, Recording};
+use point_skeleton::dataset::Recording;
 use point_skeleton::raster::RasterizerDesc;
-use point_skeleton::scene::{GroundTruthImages, SceneMap, SubstituteOptions};
+use point_skeleton::scene::{GroundTruthImages, SubstituteOptions};
 use point_skeleton::skeleton;
-use point_skeleton::{RenderOptions, Renderer};
+use point_skeleton::{Log, RenderOptions, Renderer};
 use pskel_generate::{Conditioner, FrameConditions, Recipe, RenderedConditions};
 use pskel_sim::{
     ActorPolicy, Committed, EgoPolicy, Forecast, Instant, Rates, Scenario, SimOptions, Simulation,
@@ -57,14 +57,10 @@ pub(super) struct SceneOptions<'a> {
 
 impl Scene {
     /// Builds the skeleton if it does not exist, and simulates the ego.
-    pub(super) fn render(
-        name: &str,
-        dataset: &dyn Dataset,
-        options: &SceneOptions<'_>,
-    ) -> Result<Self, AblateError> {
-        check_length(dataset.log(), options.count())?;
-        let skeleton = skeleton::open_or_build(options.skeleton, dataset)?;
-        let log = dataset.log();
+    pub(super) fn render(name: &str, source: &Log, options: &SceneOptions<'_>) -> Result<Self, AblateError> {
+        check_length(source.recording(), options.count())?;
+        let skeleton = skeleton::open_or_build(options.skeleton, source.reader())?;
+        let log = source.recording();
         let (substitutes, _) =
             SubstituteOptions::augmented(options.study.augment).make(&skeleton, &log.name)?;
         let render = RenderOptions {
@@ -74,12 +70,12 @@ impl Scene {
             ..RenderOptions::default()
         };
         let mut renderer = Renderer::new(&skeleton, render)?;
-        let map = SceneMap::read(dataset)?;
+        let map = source.require_map()?;
         let scenario = Scenario { log, map: map.clone(), rates: Rates::default() };
         let conditioner =
             Conditioner::new(log, map, options.recipe, "").with_maps(&[MapKind::Class, MapKind::Instance]);
-        let simulation = Simulation::new(&scenario, sim_options(options, ego_of(dataset)))?;
-        let drive = Drive { dataset, conditioner: &conditioner, options };
+        let simulation = Simulation::new(&scenario, sim_options(options, ego_of(source)))?;
+        let drive = Drive { log: source, conditioner: &conditioner, options };
         let frames = drive.frames(simulation, &mut renderer)?;
         let classifiers = classifiers(&frames[options.references..], options.study.seed)?;
         Ok(Self { name: name.to_owned(), frames, classifiers })
@@ -105,8 +101,8 @@ fn check_length(log: &Recording, count: usize) -> Result<(), AblateError> {
 }
 
 /// Returns the policy of an ego whose ground-truth images are known.
-fn ego_of(dataset: &dyn Dataset) -> EgoPolicy {
-    match GroundTruthImages::new(dataset).are_known(false, true) {
+fn ego_of(log: &Log) -> EgoPolicy {
+    match GroundTruthImages::new(log.reader()).are_known(false, true) {
         true => EgoPolicy::LaneChange,
         false => EgoPolicy::Replay,
     }
@@ -123,7 +119,7 @@ fn sim_options(options: &SceneOptions<'_>, ego: EgoPolicy) -> SimOptions {
 }
 
 struct Drive<'a> {
-    dataset: &'a dyn Dataset,
+    log: &'a Log,
     conditioner: &'a Conditioner<'a>,
     options: &'a SceneOptions<'a>,
 }
@@ -159,7 +155,7 @@ impl Drive<'_> {
     ) -> Result<SceneFrame, AblateError> {
         let view = |view: &point_skeleton::geometry::View| self.conditioner.options().drawn_view(view);
         let size = self.options.recipe.size;
-        let truth = GroundTruthImages::new(self.dataset).of(&drawn.get().state, view, size, true)?;
+        let truth = GroundTruthImages::new(self.log.reader()).of(&drawn.get().state, view, size, true)?;
         let moves = instant.actors.iter().map(|actor| actor.speed_mps.abs() > MOVING_MPS);
         let moving: Vec<u32> =
             (1..).zip(moves).filter(|(_, moves)| *moves).map(|(number, _)| number).collect();

@@ -1,6 +1,6 @@
 use std::path::Path;
 
-use point_skeleton::dataset::Dataset;
+use point_skeleton::Log;
 use point_skeleton::error::FileError;
 use point_skeleton::files::input::is_there;
 use point_skeleton::files::{Inputs, OutputFolder, write_json};
@@ -60,7 +60,7 @@ impl Ablation {
     pub fn add_scene(
         &mut self,
         name: &str,
-        dataset: &dyn Dataset,
+        log: &Log,
         rasterizer: &RasterizerDesc,
         progress: &mut dyn FnMut(&RunResult),
     ) -> Result<(), AblateError> {
@@ -81,7 +81,7 @@ impl Ablation {
             } else {
                 let scene = match &mut scene {
                     Some(scene) => scene,
-                    none => none.insert(Scene::render(name, dataset, &options)?),
+                    none => none.insert(Scene::render(name, log, &options)?),
                 };
                 self.run(scene, row)?
             };

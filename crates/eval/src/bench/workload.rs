@@ -1,10 +1,11 @@
 use std::ops::Range;
 use std::sync::Arc;
 
+use point_skeleton::Log;
 use point_skeleton::cloud::street;
 use point_skeleton::cloud::{Point, PointFile};
 use point_skeleton::conditions::{ConditionOptions, ImageSize, MapKind, MapSet};
-use point_skeleton::dataset::{Dataset, Recording};
+use point_skeleton::dataset::Recording;
 use point_skeleton::geometry::View;
 use point_skeleton::memory::{MemoryError, Need, reserve};
 use point_skeleton::raster::{Crop, FrameJob, Instance, Occlusion};
@@ -70,15 +71,15 @@ impl Workload {
     /// # Errors
     /// Fails if no frame has cameras, or if the HD map is damaged.
     pub fn log(
-        dataset: &dyn Dataset,
+        source: &Log,
         skeleton: Skeleton,
         substitutes: Substitutes,
         range: Range<usize>,
         maps: MapSet,
     ) -> Result<Self, BenchError> {
-        let (log, count) = (dataset.log(), range.len());
+        let (log, count) = (source.recording(), range.len());
         let with_map = maps.contains(MapKind::Map) || maps.contains(MapKind::Tensor);
-        let map = if with_map { SceneMap::read(dataset)? } else { None };
+        let map = if with_map { source.require_map()? } else { None };
         let frames = frames_of_log(log, range, map.as_ref());
         if frames.is_empty() {
             return Err(BenchError::NoCameras { log: log.shown_name().into_owned(), frames: count });

@@ -3,7 +3,7 @@ use std::collections::BTreeMap;
 use crate::{DepthErrors, DepthSummary, FilledError, Overlap, compare_filled};
 use glam::{DVec2, DVec3};
 use point_skeleton::conditions::{CameraConditions, ConditionOptions, ImageSize, MapKind, MapSet, reduce};
-use point_skeleton::dataset::{Area, Class, Dataset, VectorMap};
+use point_skeleton::dataset::{Area, Class, LogReader, VectorMap};
 use point_skeleton::geometry::View;
 use point_skeleton::scene::{EgoOffset, SceneState, SelectionOptions, state_of_frame};
 use point_skeleton::{MapOptions, Renderer};
@@ -212,7 +212,7 @@ impl Measurement<'_> {
         frame: usize,
         row: &mut Measured,
     ) -> Result<(), FidelityError> {
-        let log = self.town.log();
+        let log = self.town.recording();
         let offset = self.offset(frame, row);
         let state = state_of_frame(log, frame, offset)
             .ok_or_else(|| FidelityError::NoFrame { frame, log: log.shown_name().into_owned() })?;
@@ -263,7 +263,7 @@ impl Measurement<'_> {
     }
 
     fn is_on_lane(&self, frame: usize, offset: EgoOffset) -> bool {
-        let Some(frame) = self.town.log().frames.get(frame) else { return false };
+        let Some(frame) = self.town.recording().frames.get(frame) else { return false };
         let at = (frame.global_from_ego * offset.pose()).transform_point(DVec3::ZERO).truncate();
         let lanes = self.map.into_iter().flat_map(|map| map.lanes.iter().chain(&map.lane_connectors));
         lanes.map(|lane| &lane.outline).any(|area| is_within(area, at))

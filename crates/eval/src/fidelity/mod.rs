@@ -13,7 +13,7 @@ use std::ops::Range;
 
 use point_skeleton::Renderer;
 use point_skeleton::conditions::{ConditionOptions, MapKind, MapSet};
-use point_skeleton::dataset::Dataset;
+use point_skeleton::dataset::LogReader;
 use pskel_town::Town;
 use serde::Serialize;
 
@@ -59,7 +59,7 @@ pub fn fidelity(
         }
         poses.push(row.summary());
     }
-    let log = town.log();
+    let log = town.recording();
     Ok(FidelityReport {
         log: log.name.clone(),
         description: log.description.clone(),

@@ -52,7 +52,7 @@ pub(super) fn check(options: &ExportOptions, log: &Recording) -> Result<(), Expo
 
 impl<'a> Videos<'a> {
     pub(super) fn new(source: &'a Source<'a>, clip: &str) -> Self {
-        let names = slots::names(&source.log().rig).into_iter();
+        let names = slots::names(&source.recording().rig).into_iter();
         let folder = |name: &str| format!("ftheta_{}", name.replace(':', "_"));
         let folders = names.map(|name| name.map(folder)).collect();
         Self { source, clip: clip.to_owned(), folders, videos: BTreeMap::new() }
@@ -64,7 +64,7 @@ impl<'a> Videos<'a> {
         maps: &CameraConditions,
         camera: usize,
     ) -> Result<Vec<Picture>, ExportError> {
-        let log = self.source.log();
+        let log = self.source.recording();
         let rig = log.rig.iter().position(|rig| rig.camera.name == maps.name);
         let Some(folder) = rig.and_then(|rig| self.folders[rig].as_ref()) else { return Ok(Vec::new()) };
         let size = maps.size();
@@ -80,7 +80,7 @@ impl<'a> Videos<'a> {
             pictures.push(picture("control_input_color", color.clone()));
         }
         if let Some(record) = sample.images[camera].filter(|_| self.source.options.images) {
-            let image = GroundTruthImages::new(self.source.dataset).of_record(record)?;
+            let image = GroundTruthImages::new(self.source.log.reader()).of_record(record)?;
             let image: RgbImage = resize(&image, size.width, size.height, FilterType::Triangle);
             pictures.push(picture("videos", image.into_raw().as_chunks::<3>().0.to_vec()));
         }
@@ -113,7 +113,7 @@ impl LayoutWriter for Videos<'_> {
             None => Err(ExportError::Lacks {
                 expected: "an image of every camera in every frame of a video",
                 found: format!("none for {path} at {}", sample.state.name),
-                log: self.source.log().name.clone(),
+                log: self.source.recording().name.clone(),
             }),
         })
     }

@@ -28,7 +28,7 @@ impl LayoutWriter for Frames<'_> {
         })?;
         if self.source.options.images {
             let name = |index| format!("{folder}/{}/image.jpg", camera(index));
-            files.extend(images_as_jpeg(shard, self.source.dataset, sample, &sizes(maps), name)?);
+            files.extend(images_as_jpeg(shard, self.source.log, sample, &sizes(maps), name)?);
         }
         for file in files {
             shard.put(file.name, &file.bytes)?;

@@ -20,14 +20,14 @@ impl<'a> Mcap<'a> {
     pub(super) fn begin(shard: &Shard, source: &'a Source<'a>) -> Result<Self, ExportError> {
         let file = shard.create(format!("{}.mcap", shard.name()))?;
         let shown = file.shown.clone();
-        Ok(Self { source, file: SceneFile::begin(file, &shown, source.log())?, is_described: false })
+        Ok(Self { source, file: SceneFile::begin(file, &shown, source.recording())?, is_described: false })
     }
 
     /// Writes the name of the log and its caption, once per file.
     fn describe(&mut self, time: Timestamp) -> Result<(), ExportError> {
         if !std::mem::replace(&mut self.is_described, true) {
             let caption = self.source.log_caption();
-            self.file.write_text(Level::Info, &self.source.log().name, caption, time)?;
+            self.file.write_text(Level::Info, &self.source.recording().name, caption, time)?;
         }
         Ok(())
     }
@@ -46,9 +46,8 @@ impl<'a> Mcap<'a> {
         })?;
         let mut jpegs = Vec::new();
         if options.images {
-            jpegs = images_as_jpeg(shard, self.source.dataset, sample, &sizes(maps), |index| {
-                topic(index, "image")
-            })?;
+            jpegs =
+                images_as_jpeg(shard, self.source.log, sample, &sizes(maps), |index| topic(index, "image"))?;
         }
         for (format, files) in [("png", pngs), ("jpeg", jpegs)] {
             for Encoded { name, bytes } in files {

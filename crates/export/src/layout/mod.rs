@@ -16,10 +16,11 @@ mod world_scenario;
 #[cfg(feature = "parquet")]
 use std::sync::Arc;
 
+use point_skeleton::Log;
 use point_skeleton::Maps;
 use point_skeleton::conditions::ImageSize;
 use point_skeleton::conditions::meta::FrameMeta;
-use point_skeleton::dataset::{Dataset, Recording};
+use point_skeleton::dataset::Recording;
 #[cfg(feature = "parquet")]
 use point_skeleton::scene::SceneMap;
 use point_skeleton::scene::frame_rate_hz;
@@ -80,7 +81,7 @@ pub(crate) fn index_entry(layout: Layout, record: &ShardRecord) -> Value {
 /// Log of a shard.
 pub(crate) struct Source<'a> {
     pub(crate) listed: &'a ListedLog,
-    pub(crate) dataset: &'a dyn Dataset,
+    pub(crate) log: &'a Log,
     pub(crate) options: &'a ExportOptions,
     /// Fingerprints of log, skeleton, HD map and templates.
     pub(crate) input: ShardInput,
@@ -89,14 +90,14 @@ pub(crate) struct Source<'a> {
 }
 
 impl Source<'_> {
-    pub(crate) fn log(&self) -> &Recording {
-        self.dataset.log()
+    pub(crate) fn recording(&self) -> &Recording {
+        self.log.recording()
     }
 
     /// Returns the frame rate of the samples, per second; `None` if their times are uneven.
     pub(crate) fn fps(&self) -> Option<f64> {
         match self.options.times {
-            SampleTimes::KeyFrames => frame_rate_hz(&self.log().frames),
+            SampleTimes::KeyFrames => frame_rate_hz(&self.recording().frames),
             SampleTimes::Images => None,
             SampleTimes::Rate { hz } => Some(hz),
         }
@@ -108,13 +109,13 @@ impl Source<'_> {
 
     /// Returns the caption of the log.
     pub(crate) fn log_caption(&self) -> String {
-        self.options.captions.of(None, self.log(), &self.options.prompt)
+        self.options.captions.of(None, self.recording(), &self.options.prompt)
     }
 
     /// Returns the caption of a camera's image.
     pub(crate) fn caption(&self, sample: &Sample<'_>, camera: usize) -> String {
         let token = sample.images.get(camera).copied().flatten().map(|image| image.token.as_str());
-        self.options.captions.of(token, self.log(), &self.options.prompt)
+        self.options.captions.of(token, self.recording(), &self.options.prompt)
     }
 }
 

@@ -43,7 +43,7 @@ impl LayoutWriter for Package<'_> {
             Some(map_path(index, kind))
         })?;
         if source.options.images {
-            files.extend(images_as_jpeg(shard, source.dataset, sample, &sizes(maps), image_path)?);
+            files.extend(images_as_jpeg(shard, source.log, sample, &sizes(maps), image_path)?);
         }
         let meta = source.meta(maps);
         let mut infos = Map::new();

@@ -35,7 +35,7 @@ impl<'a> PasCache<'a> {
 
     /// Returns whether another frame is nearer to an image: in nuPlan, images of 10 Hz belong to two frames of 20 Hz.
     fn is_of_other_frame(&self, image: &ImageRecord, frame: usize) -> bool {
-        let frames = &self.source.log().frames;
+        let frames = &self.source.recording().frames;
         let neighbors = frame.saturating_sub(1)..frames.len().min(frame + 2);
         let has = |index: &usize| frames[*index].images.iter().any(|other| other.token == image.token);
         let times = neighbors.filter(has).map(|index| (index, frames[index].t_us));

@@ -48,7 +48,7 @@ impl LayoutWriter for Tar<'_> {
         let key = format!("{}-{}", source.listed.name, sample.state.name);
         let camera = |index: usize| maps.cameras()[index].name.to_lowercase();
         let mut meta = serde_json::json!(source.meta(maps));
-        meta["log"] = serde_json::json!(source.log().name);
+        meta["log"] = serde_json::json!(source.recording().name);
         meta["frame"] = serde_json::json!(sample.frame);
         meta["caption"] = serde_json::json!(source.log_caption());
         for (index, image) in sample.images.iter().enumerate() {
@@ -76,7 +76,7 @@ impl LayoutWriter for Tar<'_> {
         }
         if source.options.images {
             let name = |index| format!("{key}.image.{}.jpg", camera(index));
-            files.extend(images_as_jpeg(shard, source.dataset, sample, &sizes(maps), name)?);
+            files.extend(images_as_jpeg(shard, source.log, sample, &sizes(maps), name)?);
         }
         files.iter().try_for_each(|file| self.append(&file.name, &[Cow::Borrowed(&file.bytes)]))?;
         Ok(())

@@ -13,7 +13,7 @@ use arrow_ipc::CompressionType;
 use arrow_ipc::writer::{FileWriter, IpcWriteOptions};
 use half::f16;
 use point_skeleton::dataset::av2::{Argoverse, read_map_file};
-use point_skeleton::dataset::{Dataset, LogFormat, LogLocator};
+use point_skeleton::dataset::{LogFormat, LogLocator, LogReader};
 use serde_json::Value;
 
 use super::{LARGE, Scratch, edit_seeds, seed};
@@ -177,7 +177,7 @@ fn map(data: &[u8]) {
     MAP.with_borrow_mut(|(scratch, base, made)| {
         let path = scratch.put("map.json", &json_file(data, base));
         match read_map_file(&path, "PIT") {
-            Ok(map) => check_map(&map, made.log()),
+            Ok(map) => check_map(&map, made.recording()),
             Err(error) => told(error, &path, data),
         }
     });

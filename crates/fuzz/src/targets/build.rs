@@ -4,7 +4,7 @@ use std::cell::RefCell;
 use std::path::{Path, PathBuf};
 
 use image::RgbImage;
-use point_skeleton::dataset::{Dataset, DatasetError, ImageRecord, Recording, Sweep, SweepRecord};
+use point_skeleton::dataset::{DatasetError, ImageRecord, LogReader, Recording, Sweep, SweepRecord};
 use point_skeleton::error::FileError;
 use point_skeleton::skeleton::{BuildError, BuildInput, BuildOptions, BuildRun, build};
 use serde_json::Value;
@@ -21,9 +21,9 @@ pub(super) const TARGETS: [Target; 1] =
 /// A log whose last image cannot be read: a build fails after the checkpoints of all earlier frames.
 struct Broken(Made);
 
-impl Dataset for Broken {
-    fn log(&self) -> &Recording {
-        self.0.log()
+impl LogReader for Broken {
+    fn recording(&self) -> &Recording {
+        self.0.recording()
     }
 
     fn read_sweep(&self, record: &SweepRecord) -> Result<Sweep, DatasetError> {
@@ -31,7 +31,7 @@ impl Dataset for Broken {
     }
 
     fn read_image(&self, record: &ImageRecord) -> Result<RgbImage, DatasetError> {
-        if self.log().frames.last().is_some_and(|last| last.t_us == record.t_us) {
+        if self.recording().frames.last().is_some_and(|last| last.t_us == record.t_us) {
             return Err(
                 FileError::io("read", Path::new("made"))(std::io::Error::other("a broken disk")).into()
             );
@@ -59,7 +59,7 @@ fn options() -> BuildOptions {
     BuildOptions { voxel_m: 0.5, color_window: 0, occlusion_window: 0, ..BuildOptions::default() }
 }
 
-fn go_on(out: PathBuf, dataset: &dyn Dataset) -> Result<(), BuildError> {
+fn go_on(out: PathBuf, dataset: &dyn LogReader) -> Result<(), BuildError> {
     let run = BuildRun { resume: true, checkpoint_frames: 1, ..BuildRun::default() };
     build(&out, &[BuildInput::all(dataset)], &options(), &|_| Ok(Vec::new()), &run).map(|_| ())
 }

@@ -3,6 +3,7 @@
 use std::cell::RefCell;
 use std::path::Path;
 
+use point_skeleton::Log;
 use point_skeleton::conditions::ConditionOptions;
 use point_skeleton::dataset::{LogFormat, LogLocator, LogOutline};
 use point_skeleton::geometry::ImageSize;
@@ -66,7 +67,7 @@ fn run(root: &Path, list: &WorkList, verify: bool) -> Result<ExportReport, Expor
         out: &root.join("out"),
         skeletons: &root.join("skeletons"),
         options: &options(),
-        open: &|_| Ok(Box::new(Made::new(FRAMES))),
+        open: &|_| Ok(Log::new(Box::new(Made::new(FRAMES)))),
         rasterizer: &RasterizerDesc::from(RasterizerKind::Cpu),
         jobs: 1,
         verify,

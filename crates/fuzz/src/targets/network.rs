@@ -2,7 +2,7 @@
 
 use std::cell::RefCell;
 
-use point_skeleton::dataset::Dataset;
+use point_skeleton::dataset::LogReader;
 use point_skeleton::geometry::ImageSize;
 use pskel_generate::toy::LinearDenoiser;
 use pskel_generate::{
@@ -246,7 +246,7 @@ type Toys = Generator<LinearDenoiser, GaussianNoise>;
 /// Returns a committed condition; only a rollout can commit one.
 fn committed() -> Committed<Latent> {
     let made = Made::new(2);
-    let scenario = Scenario { log: made.log(), map: None, rates: Rates::default() };
+    let scenario = Scenario { log: made.recording(), map: None, rates: Rates::default() };
     let rollout = Simulation::new(&scenario, SimOptions::default()).expect("a rollout");
     rollout.committed().map(|_| Latent::filled(SHAPE, 0.25))
 }

@@ -4,7 +4,7 @@ use std::cell::RefCell;
 use std::path::Path;
 
 use point_skeleton::dataset::nuplan::NuPlan;
-use point_skeleton::dataset::{Dataset, LogFormat, LogLocator};
+use point_skeleton::dataset::{LogFormat, LogLocator, LogReader};
 use rusqlite::types::Value;
 use rusqlite::{Connection, params_from_iter};
 
@@ -77,7 +77,7 @@ impl DataSet {
     fn open_map(&self, data: &[u8]) {
         let set = NuPlan::open(&self.locator()).expect("a whole log");
         match set.read_map() {
-            Ok(map) => crate::check::check_map(&map.expect("a map of ours"), set.log()),
+            Ok(map) => crate::check::check_map(&map.expect("a map of ours"), set.recording()),
             Err(error) => told_within(error, self.folder.root(), data),
         }
     }

@@ -4,7 +4,7 @@ use std::cell::RefCell;
 
 use point_skeleton::dataset::nuscenes::{LogWriter, MapLayers, NuScenes, expand, read_map_file, write_log};
 use point_skeleton::dataset::{
-    Dataset, DatasetError, ImageRecord, LogFormat, LogLocator, Recording, Sweep, SweepRecord, VectorMap,
+    DatasetError, ImageRecord, LogFormat, LogLocator, LogReader, Recording, Sweep, SweepRecord, VectorMap,
 };
 use serde_json::{Map, Value};
 
@@ -104,7 +104,7 @@ fn map(data: &[u8]) {
     MAP.with_borrow_mut(|(scratch, base, made)| {
         let path = scratch.put("nowhere.json", &json_file(data, base));
         match read_map_file(&path, "nowhere") {
-            Ok(map) => check_map(&map, made.log()),
+            Ok(map) => check_map(&map, made.recording()),
             Err(error) => told(error, &path, data),
         }
     });
@@ -113,9 +113,9 @@ fn map(data: &[u8]) {
 /// The synthetic log, with a map.
 struct Mapped(Made);
 
-impl Dataset for Mapped {
-    fn log(&self) -> &Recording {
-        self.0.log()
+impl LogReader for Mapped {
+    fn recording(&self) -> &Recording {
+        self.0.recording()
     }
 
     fn read_sweep(&self, record: &SweepRecord) -> Result<Sweep, DatasetError> {

@@ -7,7 +7,7 @@ use std::sync::mpsc::{Receiver, Sender, channel};
 use std::time::Duration;
 
 use image::RgbImage;
-use point_skeleton::dataset::Dataset;
+use point_skeleton::dataset::LogReader;
 use point_skeleton::geometry::ImageSize;
 use pskel_generate::{
     Codec, Denoiser, DenoiserRig, Frame, FrameConditions, GenerateOptions, Guidance, Latent, Level,
@@ -105,7 +105,7 @@ fn planner(data: &[u8]) {
         let ego = EgoPolicy::External(server.next(answers));
         let rates = Some(10.0);
         let options = SimOptions { steps: 5, sim_hz: rates, plan_hz: rates, ego, ..SimOptions::default() };
-        let scenario = Scenario { log: made.log(), map: None, rates: Rates::default() };
+        let scenario = Scenario { log: made.recording(), map: None, rates: Rates::default() };
         let error = match Simulation::new(&scenario, options) {
             Err(error) => Some(error),
             Ok(mut sim) => std::iter::repeat_with(|| sim.step()).take(6).find_map(Result::err),

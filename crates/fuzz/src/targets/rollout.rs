@@ -2,7 +2,7 @@
 
 use std::cell::RefCell;
 
-use point_skeleton::dataset::Dataset;
+use point_skeleton::dataset::LogReader;
 use pskel_sim::report::{Phase, StateFile, StepObservations, StepRow};
 use pskel_sim::{ActorPolicy, EgoPolicy, Rates, SavedState, Scenario, SimOptions, Simulation, Tracking};
 use serde_json::Value;
@@ -40,7 +40,7 @@ fn options() -> SimOptions {
 }
 
 fn scenario(made: &Made) -> Scenario<'_> {
-    Scenario { log: made.log(), map: None, rates: Rates::default() }
+    Scenario { log: made.recording(), map: None, rates: Rates::default() }
 }
 
 fn saved() -> Value {
@@ -94,7 +94,7 @@ fn rows(count: usize) -> Vec<StepRow> {
     let mut rows = Vec::new();
     for _ in 0..count {
         rows.push(StepRow::new(
-            made.log(),
+            made.recording(),
             sim.committed().get(),
             Phase::Policy,
             &StepObservations::default(),

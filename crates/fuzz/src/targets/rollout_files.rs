@@ -5,7 +5,7 @@ use std::path::Path;
 
 use image::{Rgb, RgbImage};
 use point_skeleton::conditions::ConditionOptions;
-use point_skeleton::dataset::Dataset;
+use point_skeleton::dataset::LogReader;
 use point_skeleton::files::{Inputs, OutputFile};
 use point_skeleton::geometry::ImageSize;
 use point_skeleton::raster::{MapKind, MapSet, RasterizerDesc, RasterizerKind};
@@ -108,7 +108,7 @@ fn settings() -> Value {
 /// Runs the rollout in a folder, or resumes it, and writes the MCAP file.
 fn roll(root: &Path, skeleton: &Skeleton, after: Option<ResumeAfter>) -> Result<(), RolloutError> {
     let made = Made::with_images_in(FRAMES, &root.join("data"));
-    let (log, prompt) = (made.log(), Default::default());
+    let (log, prompt) = (made.recording(), Default::default());
     let scenario = Scenario { log, map: None, rates: Rates { sim_hz: 10.0, plan_hz: 10.0 } };
     let [log_path, skeleton_path] = [root.join("data"), root.join("skeleton")];
     let paths = InputPaths { log: &log_path, skeleton: &skeleton_path, prompt: None };
@@ -215,7 +215,7 @@ fn copy(data: &[u8]) {
         finished.change(data);
         let root = finished.folder.root();
         let made = Made::with_images_in(FRAMES, &root.join("data"));
-        let logs = [CopiedLog { log: made.log(), rollout: &root.join("rollout") }];
+        let logs = [CopiedLog { log: made.recording(), rollout: &root.join("rollout") }];
         let place = root.join(COPY);
         match DatasetCopy::open(&root.join("data"), &place, None).and_then(|copy| copy.write(&logs)) {
             Err(error) => {

@@ -3,7 +3,7 @@
 use std::cell::RefCell;
 
 use point_skeleton::cloud::{Bounds, Point};
-use point_skeleton::dataset::Dataset;
+use point_skeleton::dataset::LogReader;
 use point_skeleton::error::FileError;
 use point_skeleton::files::Inputs;
 use point_skeleton::geometry::View;
@@ -50,7 +50,7 @@ thread_local! {
 }
 
 fn state() -> SceneState {
-    state_of_frame(Made::new(3).log(), 1, EgoOffset::default()).expect("a frame of ours")
+    state_of_frame(Made::new(3).recording(), 1, EgoOffset::default()).expect("a frame of ours")
 }
 
 fn skeleton() -> Stored {

@@ -6,7 +6,7 @@ use glam::{DMat3, DVec3};
 use super::*;
 use crate::{Frame, Guidance, LatentShape, PixelCodec, Recipe, SamplerOptions, Strategy};
 use point_skeleton::dataset::{
-    Dataset, DatasetError, Frame as LogFrame, ImageRecord, Recording, RigCamera, Sweep, SweepRecord,
+    DatasetError, Frame as LogFrame, ImageRecord, LogReader, Recording, RigCamera, Sweep, SweepRecord,
 };
 use point_skeleton::error::FileError;
 use point_skeleton::geometry::Camera;
@@ -52,8 +52,8 @@ impl Grey {
     }
 }
 
-impl Dataset for Grey {
-    fn log(&self) -> &Recording {
+impl LogReader for Grey {
+    fn recording(&self) -> &Recording {
         &self.0
     }
 

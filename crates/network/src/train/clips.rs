@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use point_skeleton::dataset::Dataset;
+use point_skeleton::Log;
 use point_skeleton::error::FileError;
 use point_skeleton::files::{Inputs, OutputFolder, check_place};
 use point_skeleton::raster::RasterizerDesc;
@@ -69,17 +69,17 @@ impl ClipRecorder<'_> {
     /// # Errors
     /// Fails if the log does not have 1 to 8 cameras, if an existing clip or skeleton is of another recording, or a clip of
     /// another recipe, or if a clip cannot be rendered or written.
-    pub fn clips(&self, name: &str, dataset: &dyn Dataset) -> Result<Vec<TrainingClip>, RecordError> {
-        let found = dataset.log().rig.len();
+    pub fn clips(&self, name: &str, log: &Log) -> Result<Vec<TrainingClip>, RecordError> {
+        let found = log.recording().rig.len();
         if NetworkConfig::check_cameras(found).is_err() {
-            return Err(RecordError::Cameras { found, log: dataset.log().name.clone() });
+            return Err(RecordError::Cameras { found, log: log.name().to_owned() });
         }
-        let fingerprint = fingerprint(dataset)?;
+        let fingerprint = fingerprint(log)?;
         let files: Vec<PathBuf> = (0..self.options.variants).map(|number| self.file(name, number)).collect();
         if files.iter().any(|file| !file.is_file()) {
-            self.record(name, (dataset, &fingerprint), &files)?;
+            self.record(name, (log, &fingerprint), &files)?;
         }
-        files.iter().map(|file| Ok(self.open(name, (&dataset.log().name, &fingerprint), file)?)).collect()
+        files.iter().map(|file| Ok(self.open(name, (log.name(), &fingerprint), file)?)).collect()
     }
 
     /// Returns the path of a clip, `NAME-VARIANT[a].safetensors`.
@@ -93,30 +93,29 @@ impl ClipRecorder<'_> {
     fn record(
         &self,
         name: &str,
-        (dataset, fingerprint): (&dyn Dataset, &str),
+        (log, fingerprint): (&Log, &str),
         files: &[PathBuf],
     ) -> Result<(), RecordError> {
         let folder = OutputFolder::open(self.folder, KIND, self.read)?;
-        let skeleton = skeleton::open_or_build(&folder.folder(format!("{name}.skeleton"))?, dataset)?;
+        let skeleton = skeleton::open_or_build(&folder.folder(format!("{name}.skeleton"))?, log.reader())?;
         let (recipe, rasterizer) = (&self.config.recipe, &self.options.rasterizer);
-        let source = Source { dataset, fingerprint, skeleton: &skeleton, recipe, rasterizer };
+        let source = Source { log, fingerprint, skeleton: &skeleton, recipe, rasterizer };
         for (number, file) in files.iter().enumerate().filter(|(_, file)| !file.is_file()) {
             let file = file.file_name().unwrap_or_default();
-            source.record(self.variant(dataset, number))?.save(&folder.claim(file)?)?;
+            source.record(self.variant(log, number))?.save(&folder.claim(file)?)?;
         }
         Ok(folder.close()?)
     }
 
-    fn variant(&self, dataset: &dyn Dataset, number: usize) -> Variant {
-        let log = dataset.log().name.as_str();
+    fn variant(&self, log: &Log, number: usize) -> Variant {
         if number == 0 {
             return Variant::default();
         }
-        let mut random: ChaCha8Rng = Seeder::from((SEED, log, number as u64)).into_rng();
+        let mut random: ChaCha8Rng = Seeder::from((SEED, log.name(), number as u64)).into_rng();
         let mut within =
             |most: f64| Uniform::new_inclusive(-most, most).map_or(0.0, |range| range.sample(&mut random));
         // Recorded images exist at the recorded poses alone.
-        let offset = match dataset.view_renderer() {
+        let offset = match log.reader().view_renderer() {
             Some(_) => EgoOffset { x_m: 0.0, y_m: within(BESIDE_M), yaw_rad: within(TURNED_RAD) },
             None => EgoOffset::default(),
         };
@@ -150,7 +149,7 @@ impl ClipRecorder<'_> {
 }
 
 /// Returns the fingerprints of a recording and of its HD map.
-fn fingerprint(dataset: &dyn Dataset) -> Result<String, RecordError> {
-    let map = dataset.read_map()?.map_or("no map".to_owned(), |map| map.fingerprint());
-    Ok(format!("{} {map}", dataset.log().fingerprint()))
+fn fingerprint(log: &Log) -> Result<String, RecordError> {
+    let map = log.require_map()?.map_or("no map".to_owned(), |map| map.vector_map().fingerprint());
+    Ok(format!("{} {map}", log.recording().fingerprint()))
 }

@@ -1,20 +1,20 @@
 //! Recording of a training clip: conditions as the network receives them, and ground-truth images.
 
-use point_skeleton::dataset::{Dataset, DatasetError, Recording};
+use point_skeleton::dataset::{DatasetError, Recording};
 use point_skeleton::error::FileError;
 use point_skeleton::geometry::View;
 use point_skeleton::raster::RasterizerDesc;
 use point_skeleton::scene::{
-    EgoOffset, GroundTruthError, GroundTruthImages, SceneMap, SceneState, SubstituteOptions, frame_rate_hz,
+    EgoOffset, GroundTruthError, GroundTruthImages, SceneState, SubstituteOptions, frame_rate_hz,
     state_of_frame,
 };
 use point_skeleton::skeleton::{BuildError, Skeleton};
-use point_skeleton::{RenderOptions, Renderer};
+use point_skeleton::{Log, RenderOptions, Renderer};
 use pskel_generate::{DenoiserError, DriveFrame, DriveInfo, Recipe, TrainingClip};
 
 /// A log to record, and the skeleton that was built from it.
 pub(super) struct Source<'a> {
-    pub(super) dataset: &'a dyn Dataset,
+    pub(super) log: &'a Log,
     /// Fingerprints of recording and HD map.
     pub(super) fingerprint: &'a str,
     pub(super) skeleton: &'a Skeleton,
@@ -73,10 +73,10 @@ pub enum RecordError {
 impl Source<'_> {
     /// Records all frames.
     pub(super) fn record(&self, variant: Variant) -> Result<TrainingClip, RecordError> {
-        let log = self.dataset.log();
+        let log = self.log.recording();
         let (substitutes, _) =
             SubstituteOptions::augmented(variant.augment).make(self.skeleton, &log.name)?;
-        let map = SceneMap::read(self.dataset)?;
+        let map = self.log.require_map()?;
         let conditions = self.recipe.options(map.is_some());
         let options = RenderOptions {
             conditions: conditions.clone(),
@@ -95,7 +95,8 @@ impl Source<'_> {
             let state = SceneState { map: map.clone(), ..state };
             let set = renderer.render(&state)?.set;
             let drawn = |view: &View| conditions.drawn_view(view);
-            let images = GroundTruthImages::new(self.dataset).of(&state, drawn, self.recipe.size, true)?;
+            let images =
+                GroundTruthImages::new(self.log.reader()).of(&state, drawn, self.recipe.size, true)?;
             frames.push(DriveFrame::new(&about, &set, &state, before, &images)?);
             before = Some(state.global_from_ego);
         }

@@ -114,11 +114,11 @@ impl BenchArgs {
     pub(super) fn workload(&self) -> anyhow::Result<Workload> {
         match (&self.log, &self.skeleton, &self.points, &self.cameras) {
             (Some(log), Some(skeleton), ..) => {
-                let dataset = logs::open(log)?;
-                let skeleton = skeletons::open_for(skeleton, dataset.log())?;
-                let range = FrameRange::of(self.frames, dataset.log().frames.len())?;
-                let (substitutes, _) = self.stand_ins.options().make(&skeleton, &dataset.log().name)?;
-                let workload = Workload::log(dataset.as_ref(), skeleton, substitutes, range, self.maps)?;
+                let log = logs::open(log)?;
+                let skeleton = skeletons::open_for(skeleton, log.recording())?;
+                let range = FrameRange::of(self.frames, log.recording().frames.len())?;
+                let (substitutes, _) = self.stand_ins.options().make(&skeleton, log.name())?;
+                let workload = Workload::log(&log, skeleton, substitutes, range, self.maps)?;
                 if workload.skipped() > 0 {
                     warn(&format!("{} frames have no cameras and are left out", workload.skipped()));
                 }

@@ -2,7 +2,8 @@
 
 use std::fmt::Write;
 
-use point_skeleton::dataset::{Dataset, LogSummary};
+use point_skeleton::Log;
+use point_skeleton::dataset::LogSummary;
 use point_skeleton::files::text::printable_line;
 use point_skeleton::scene::frame_rate_hz;
 use serde_json::{Value, json};
@@ -11,10 +12,10 @@ use serde_json::{Value, json};
 const SHOWN: usize = 20;
 
 /// Describes a log as JSON.
-pub(super) fn describe(dataset: &dyn Dataset) -> serde_json::Result<Value> {
-    let mut json = serde_json::to_value(LogSummary::new(dataset))?;
+pub(super) fn describe(log: &Log) -> serde_json::Result<Value> {
+    let mut json = serde_json::to_value(LogSummary::new(log.reader()))?;
     json["kind"] = json!("log");
-    json["frame_rate_hz"] = json!(frame_rate_hz(&dataset.log().frames));
+    json["frame_rate_hz"] = json!(frame_rate_hz(&log.recording().frames));
     Ok(json)
 }
 

@@ -78,7 +78,7 @@ fn describe(target: &str, roots: &LogRoots) -> anyhow::Result<(Value, String)> {
     if target.contains(':') && !path.exists() {
         let locator = logs::locate(target).map_err(|error| WrongUsage(error.to_string()))?;
         let log = logs::open(&roots.locate(&locator))?;
-        let json = log::describe(log.as_ref())?;
+        let json = log::describe(&log)?;
         return Ok((json.clone(), log::text(&json)));
     }
     let found = what_is_there(&path);

@@ -12,7 +12,7 @@ use point_skeleton::cloud;
 use point_skeleton::conditions::meta::{IndexFrame, PromptParts};
 use point_skeleton::files::OutputFolder;
 use point_skeleton::raster::Rasterizer;
-use point_skeleton::scene::{SceneMap, SceneSequence, SequenceError, frame_rate_hz};
+use point_skeleton::scene::{SceneSequence, SequenceError, frame_rate_hz};
 use point_skeleton::sequence::SequenceWriter;
 use point_skeleton::{RenderOptions, Renderer};
 
@@ -23,8 +23,8 @@ use super::{WrongUsage, say, skeletons, warn};
 pub(super) fn run(args: RenderArgs) -> anyhow::Result<()> {
     let start = Instant::now();
     args.check()?;
-    let dataset = args.roots.open(&args.log)?;
-    let log = dataset.log();
+    let source = args.roots.open(&args.log)?;
+    let log = source.recording();
     for (note, count) in log.notes.iter().filter(|(note, _)| note.contains("camera_distortion")) {
         warn(&format!("{count} {note}"));
     }
@@ -34,7 +34,7 @@ pub(super) fn run(args: RenderArgs) -> anyhow::Result<()> {
     let skeleton = skeletons::open_for(&args.skeleton, log)?;
     let views = args.cameras.as_deref().map(cloud::cameras::read).transpose()?;
     let prompt = args.annotations.as_deref().map_or(Ok(PromptParts::default()), PromptParts::read)?;
-    let map = if args.wants_map() { SceneMap::read(dataset.as_ref())? } else { None };
+    let map = if args.wants_map() { source.require_map()? } else { None };
     let maps = args.maps(map.is_some()).with_context(|| {
         format!(
             "expected an HD map of {:?} for --maps map, found none in log {}",

@@ -4,9 +4,10 @@ use std::sync::Arc;
 use anyhow::Context;
 use clap::Args;
 #[cfg(feature = "mcap")]
+use point_skeleton::Log;
 use point_skeleton::conditions::MapFormat;
 use point_skeleton::conditions::meta::PromptParts;
-use point_skeleton::dataset::{Dataset, LogLocator, LogOpener, MissingData, MovedEgo};
+use point_skeleton::dataset::{LogLocator, LogOpener, MovedEgo};
 use point_skeleton::files::{Inputs as InputPaths, OutputFile};
 use point_skeleton::scene::{EgoOffset, SceneMap, frame_rate_hz};
 #[cfg(feature = "network")]
@@ -254,23 +255,22 @@ impl SimulateArgs {
 
     /// Reads the inputs.
     pub(super) fn inputs(&self) -> anyhow::Result<Inputs> {
-        let mut dataset = self.roots.open_by(&self.log, &self.opener)?;
+        let mut source = self.roots.open_by(&self.log, &self.opener)?;
         // The skeleton is of the recording, in which the ego has not moved.
-        let unmoved = self.ego_offset.map(|_| dataset.log().clone());
+        let unmoved = self.ego_offset.map(|_| source.recording().clone());
         if let Some(offset) = self.ego_offset {
-            let moved = MovedEgo::new(dataset, offset).with_context(|| {
+            let moved = MovedEgo::new(source.into_reader(), offset).with_context(|| {
                 format!(
                     "expected a log town:.. with --ego-offset, whose images can be rendered there, found {}",
                     self.log
                 )
             })?;
-            dataset = Box::new(moved);
+            source = Log::new(Box::new(moved));
         }
-        let recording = unmoved.as_ref().unwrap_or_else(|| dataset.log());
-        let skeleton = skeletons::open_for(&self.skeleton, recording)?;
-        let log = dataset.log();
+        let log = source.recording();
+        let skeleton = skeletons::open_for(&self.skeleton, unmoved.as_ref().unwrap_or(log))?;
         let prompt = self.annotations.as_deref().map_or(Ok(PromptParts::default()), PromptParts::read)?;
-        let map = self.read_map(dataset.as_ref())?;
+        let map = self.read_map(&source)?;
         let maps = self.maps.kinds(map.is_some()).with_context(|| {
             format!(
                 "expected an HD map of {:?} for --maps map, found none in log {}",
@@ -278,19 +278,20 @@ impl SimulateArgs {
                 log.shown_name()
             )
         })?;
-        Ok(Inputs { dataset, skeleton, prompt, map, maps })
+        Ok(Inputs { log: source, skeleton, prompt, map, maps })
     }
 
     /// Reads the HD map. A damaged one that is not drawn is an error only with `--missing error`.
-    fn read_map(&self, dataset: &dyn Dataset) -> anyhow::Result<Option<Arc<SceneMap>>> {
+    fn read_map(&self, log: &Log) -> anyhow::Result<Option<Arc<SceneMap>>> {
         let is_drawn = self.generation.generates() || !self.dry && self.maps.wants_map();
-        match SceneMap::read(dataset) {
-            Err(error) if !is_drawn && dataset.log().reading.missing == MissingData::Skip => {
-                warn(&format!("the HD map cannot be read, so metrics of the road are missing: {error}"));
-                Ok(None)
-            }
-            map => Ok(map?),
+        if is_drawn {
+            return Ok(log.require_map()?);
         }
+        let map = log.optional_map()?;
+        if let Some(error) = log.map_error() {
+            warn(&format!("the HD map cannot be read, so metrics of the road are missing: {error}"));
+        }
+        Ok(map)
     }
 
     /// Returns the step after which to continue an earlier rollout.

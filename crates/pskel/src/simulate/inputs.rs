@@ -1,14 +1,14 @@
 use std::sync::Arc;
 
+use point_skeleton::Log;
 use point_skeleton::conditions::MapSet;
 use point_skeleton::conditions::meta::PromptParts;
-use point_skeleton::dataset::Dataset;
 use point_skeleton::scene::SceneMap;
 use point_skeleton::skeleton::Skeleton;
 
 /// Inputs that are read before the simulation starts.
 pub(crate) struct Inputs {
-    pub(crate) dataset: Box<dyn Dataset>,
+    pub(crate) log: Log,
     pub(crate) skeleton: Skeleton,
     pub(crate) prompt: PromptParts,
     pub(crate) map: Option<Arc<SceneMap>>,

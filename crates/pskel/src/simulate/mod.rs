@@ -59,8 +59,8 @@ pub(super) fn rollout(args: SimulateArgs) -> anyhow::Result<String> {
         warn(note);
     }
     let inputs = args.inputs()?;
-    let Inputs { dataset, skeleton, prompt, map, maps } = &inputs;
-    let log = dataset.log();
+    let Inputs { log, skeleton, prompt, map, maps } = &inputs;
+    let log = log.recording();
     let scenario = Scenario { log, map: map.clone(), rates: Rates::of(args.log.format) };
     let mut simulation = args.sim_options(&scenario)?;
     let rates = simulation.rates(scenario.rates, log).map_err(|error| usage(error.into()))?;

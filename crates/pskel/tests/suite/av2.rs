@@ -6,7 +6,7 @@ use std::sync::Arc;
 use arrow_array::Int32Array;
 use glam::{DVec2, DVec3};
 use point_skeleton::dataset::av2::{Argoverse, read_map_file, read_sweep_file};
-use point_skeleton::dataset::{Class, Dataset, LogFormat, LogLocator, Recording};
+use point_skeleton::dataset::{Class, LogFormat, LogLocator, LogReader, Recording};
 use point_skeleton::geometry::{Cuboid, View};
 use point_skeleton::scene::{EgoOffset, state_of_frame};
 use pskel::logs;
@@ -26,7 +26,7 @@ fn locator(path: impl Into<std::path::PathBuf>) -> LogLocator {
 fn a_made_up_log_is_read_whole() {
     let made = TinyAv2::new();
     let dataset = made.open().unwrap();
-    let log = dataset.log();
+    let log = dataset.recording();
     assert_eq!((log.name.as_str(), log.location.as_str(), log.frames.len()), (LOG_ID, "PIT", FRAMES));
     assert!(log.notes.is_empty(), "{:?}", log.notes);
     assert_eq!(log.cameras, RING.map(|(name, _)| name));
@@ -83,7 +83,7 @@ fn a_made_up_map_is_read_whole() {
     assert_eq!((&map.crossings[0].exterior[..], map.drivable_area[0].exterior.len()), (&crossing[..], 4));
     std::fs::remove_file(made.path(MAP)).unwrap();
     let dataset = made.open().unwrap();
-    assert!(dataset.read_map().unwrap().is_none() && dataset.log().location.is_empty());
+    assert!(dataset.read_map().unwrap().is_none() && dataset.recording().location.is_empty());
 }
 
 #[test]
@@ -91,7 +91,7 @@ fn a_folder_of_logs_is_a_set() {
     let made = TinyAv2::new();
     let root = made.root();
     assert_eq!(logs::expand(&locator(root)).unwrap(), [locator(made.path(""))]);
-    assert_eq!(Argoverse::open(&locator(root)).unwrap().log().name, LOG_ID);
+    assert_eq!(Argoverse::open(&locator(root)).unwrap().recording().name, LOG_ID);
     std::fs::create_dir(root.join("ffff")).unwrap();
     std::fs::create_dir(root.join("no log")).unwrap();
     for file in ["annotations.feather", "city_SE3_egovehicle.feather"] {
@@ -102,7 +102,7 @@ fn a_folder_of_logs_is_a_set() {
     assert_eq!(logs::expand(&locator(root)).unwrap(), all);
     assert_eq!(logs::expand(&named("*")).unwrap(), all);
     assert_eq!(logs::expand(&named("ffff")).unwrap(), all[1..]);
-    assert_eq!(logs::open(&named(LOG_ID)).unwrap().log().name, LOG_ID);
+    assert_eq!(logs::open(&named(LOG_ID)).unwrap().recording().name, LOG_ID);
     let told = |locator: &LogLocator| Argoverse::open(locator).unwrap_err().to_string();
     let several = told(&locator(root));
     assert!(several.contains("#SCENE to name one of 0a1b2c3d, ffff, found none"), "{several}");
@@ -124,7 +124,7 @@ fn sensors_and_maps_may_lie_elsewhere() {
         std::fs::rename(made.path(part), of_log.join(part)).unwrap();
     }
     let bare = made.open().unwrap();
-    assert_eq!(bare.log().notes["missing camera images"], FRAMES * RING.len());
+    assert_eq!(bare.recording().notes["missing camera images"], FRAMES * RING.len());
     assert!(bare.read_map().unwrap().is_none());
     for [sensors, map] in [
         [elsewhere.path().to_owned(), elsewhere.path().to_owned()],
@@ -132,7 +132,7 @@ fn sensors_and_maps_may_lie_elsewhere() {
     ] {
         let moved = LogLocator { sensor_root: Some(sensors), map_root: Some(map), ..locator(made.path("")) };
         let dataset = Argoverse::open(&moved).unwrap();
-        assert!(dataset.log().notes.is_empty() && dataset.read_map().unwrap().is_some());
+        assert!(dataset.recording().notes.is_empty() && dataset.read_map().unwrap().is_some());
     }
 }
 
@@ -171,9 +171,9 @@ fn boxes_without_a_size_are_counted() {
         set_number(columns, "height_m", 2, -1.0);
     });
     let dataset = made.open().unwrap();
-    let notes: Vec<_> = dataset.log().notes.clone().into_iter().collect();
+    let notes: Vec<_> = dataset.recording().notes.clone().into_iter().collect();
     assert_eq!(notes, [("boxes without a size".to_owned(), 2)]);
-    let boxes: Vec<usize> = dataset.log().frames.iter().map(|f| f.boxes.len()).collect();
+    let boxes: Vec<usize> = dataset.recording().frames.iter().map(|f| f.boxes.len()).collect();
     let stated: Vec<usize> = dataset.box_points().unwrap().iter().map(Vec::len).collect();
     assert_eq!((&boxes[..2], &boxes), (&[1, 1][..], &stated));
     assert_eq!(dataset.box_points().unwrap()[1], [Some(0)]);
@@ -185,7 +185,7 @@ fn rows_that_the_columns_have_no_bytes_for_are_refused() {
     const ROWS: usize = 1237;
     let made = TinyAv2::new();
     let dataset = made.open().unwrap();
-    let record = &dataset.log().frames[0].sweeps[0];
+    let record = &dataset.recording().frames[0].sweeps[0];
     let mut columns: Vec<_> =
         read(&record.path).into_iter().map(|(name, c)| (name, c.slice(0, ROWS))).collect();
     // For columns of one byte per row, the edit would also change the byte count.
@@ -279,7 +279,7 @@ fn real() -> Option<Argoverse> {
 #[test]
 fn the_real_log_is_read_as_its_readme_says() {
     let Some(dataset) = real() else { return };
-    let log: &Recording = dataset.log();
+    let log: &Recording = dataset.recording();
     assert_eq!((log.name.split_once('-').unwrap().0, log.location.as_str()), ("7fab2350", "PIT"));
     assert_eq!((log.frames.len(), log.tracks.len()), (156, 114));
     assert_eq!(log.frames.iter().map(|f| f.boxes.len()).sum::<usize>(), 11_364);
@@ -308,7 +308,7 @@ fn the_real_log_is_read_as_its_readme_says() {
 fn real_boxes_hold_the_points_that_are_stated() {
     let Some(dataset) = real() else { return };
     let mut boxes = 0;
-    for (frame, stated) in dataset.log().frames.iter().zip(dataset.box_points().unwrap()) {
+    for (frame, stated) in dataset.recording().frames.iter().zip(dataset.box_points().unwrap()) {
         let Some(record) = frame.sweeps.first() else { continue };
         let sweep = dataset.read_sweep(record).unwrap();
         assert_eq!(sweep.dropped_non_finite, 0);
@@ -318,7 +318,7 @@ fn real_boxes_hold_the_points_that_are_stated() {
             let local = |p: [f32; 3]| box_from_lidar.transform_point(DVec3::from(p.map(f64::from)));
             let inside =
                 sweep.points.iter().filter(|p| item.cuboid.contains_local(local(p.position), 0.0)).count();
-            assert_eq!(Some(inside as u32), *stated, "{}", dataset.log().tracks[item.track].id);
+            assert_eq!(Some(inside as u32), *stated, "{}", dataset.recording().tracks[item.track].id);
             boxes += 1;
         }
     }
@@ -330,7 +330,7 @@ fn real_boxes_hold_the_points_that_are_stated() {
 #[test]
 fn known_points_are_seen_where_they_should_be() {
     let Some(dataset) = real() else { return };
-    let state = state_of_frame(dataset.log(), 120, EgoOffset::default()).unwrap();
+    let state = state_of_frame(dataset.recording(), 120, EgoOffset::default()).unwrap();
     let known = [
         ([20.0, 1.0, 0.5], "ring_front_center", [682.9738, 1101.9736, 18.36496]),
         ([5.0, -15.0, 1.0], "ring_side_right", [313.3971, 719.0367, 13.97283]),
@@ -359,7 +359,7 @@ fn the_real_map_fits_the_drive() {
         };
         sides.filter(cuts).count() % 2 == 1
     };
-    for frame in &dataset.log().frames {
+    for frame in &dataset.recording().frames {
         let ego = frame.global_from_ego.translation.truncate();
         assert!(map.drivable_area.iter().any(|area| inside(&area.exterior, ego)), "{ego}");
     }

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use arrow_array::{ArrayRef, Float16Array, Float32Array, Int64Array, StringArray, UInt64Array};
 use arrow_ipc::CompressionType;
 use half::f16;
-use point_skeleton::dataset::Dataset;
+use point_skeleton::dataset::LogReader;
 use point_skeleton::dataset::av2::read_sweep_file;
 use proptest::prelude::*;
 
@@ -68,7 +68,7 @@ fn unknown_counts_of_points_are_counted() {
         log.edit(TABLES[0], edit);
         let log = log.open().unwrap();
         let counts = log.box_points().unwrap().concat();
-        (log.log().notes.get("boxes with an unknown number of LiDAR points").copied(), counts)
+        (log.recording().notes.get("boxes with an unknown number of LiDAR points").copied(), counts)
     };
     for edit in edits {
         assert_eq!(noted(edit), (Some(2 * FRAMES), vec![None; 2 * FRAMES]));
@@ -77,7 +77,7 @@ fn unknown_counts_of_points_are_counted() {
     assert_eq!(floats, (None, vec![Some(7); 2 * FRAMES]));
     let wide = TinyAv2::new();
     wide.edit(TABLES[2], |c| set(c, "width_px", numbers(vec![64.0; 8])));
-    assert_eq!(wide.open().unwrap().log().rig[0].camera.width, 64);
+    assert_eq!(wide.open().unwrap().recording().rig[0].camera.width, 64);
 }
 
 #[test]
@@ -140,7 +140,7 @@ fn wrong_columns_are_named() {
 #[test]
 fn numbers_may_have_any_width() {
     let log = TinyAv2::new();
-    let expected = log.open().unwrap().log().clone();
+    let expected = log.open().unwrap().recording().clone();
     log.edit(TABLES[0], |columns| {
         let stamps = (0..FRAMES).flat_map(|f| [frame_ns(f) as u64; 2]).collect::<Vec<_>>();
         set(columns, "timestamp_ns", Arc::new(UInt64Array::from(stamps)));
@@ -150,7 +150,7 @@ fn numbers_may_have_any_width() {
         let ids = ["car", "a sign"].repeat(FRAMES);
         set(columns, "track_uuid", Arc::new(arrow_array::LargeStringArray::from(ids)));
     });
-    assert_eq!(*log.open().unwrap().log(), expected);
+    assert_eq!(*log.open().unwrap().recording(), expected);
     log.edit(TABLES[0], |columns| {
         set(columns, "timestamp_ns", Arc::new(UInt64Array::from(vec![u64::MAX; 2 * FRAMES])));
     });
@@ -206,14 +206,14 @@ fn times_that_do_not_grow_are_told() {
     log.refuses(&["timestamps that grow from row to row", "in row 1"], TABLES[1]);
     // Rows of boxes may be in any order.
     let log = TinyAv2::new();
-    let expected = log.open().unwrap().log().clone();
+    let expected = log.open().unwrap().recording().clone();
     log.edit(TABLES[0], |columns| {
         for (_, column) in columns {
             let parts = [column.slice(3, 2 * FRAMES - 3), column.slice(0, 3)];
             *column = join(&[&*parts[0], &*parts[1]]);
         }
     });
-    assert_eq!(log.open().unwrap().log().frames, expected.frames);
+    assert_eq!(log.open().unwrap().recording().frames, expected.frames);
 }
 
 fn join(parts: &[&dyn arrow_array::Array]) -> ArrayRef {
@@ -231,7 +231,7 @@ fn join(parts: &[&dyn arrow_array::Array]) -> ArrayRef {
 }
 
 fn notes(log: &TinyAv2) -> Vec<(String, usize)> {
-    log.open().unwrap().log().notes.clone().into_iter().collect()
+    log.open().unwrap().recording().notes.clone().into_iter().collect()
 }
 
 #[test]
@@ -313,7 +313,7 @@ fn frames_without_an_ego_pose_are_left_out() {
     let log = TinyAv2::new();
     log.edit(TABLES[1], |columns| columns.iter_mut().for_each(|(_, c)| *c = c.slice(0, 5)));
     // The poses end half a step after the second frame.
-    assert_eq!(log.open().unwrap().log().frames.len(), 2);
+    assert_eq!(log.open().unwrap().recording().frames.len(), 2);
     let told = notes(&log);
     assert_eq!(told[0], ("annotated times without an ego pose".to_owned(), 1));
     assert_eq!(told[1], ("images without an ego pose".to_owned(), RING.len()));
@@ -329,7 +329,7 @@ fn sweeps_without_an_ego_pose_are_counted_once() {
     let log = TinyAv2::new();
     log.edit(TABLES[1], |columns| columns.iter_mut().for_each(|(_, c)| *c = c.slice(0, 5)));
     std::fs::remove_file(log.path(TABLES[0])).unwrap();
-    assert_eq!(log.open().unwrap().log().frames.len(), 2);
+    assert_eq!(log.open().unwrap().recording().frames.len(), 2);
     let expected = [
         ("images without an ego pose", RING.len()),
         ("logs without annotations", 1),
@@ -348,20 +348,20 @@ fn what_lies_between_frames_belongs_to_the_interval_that_ends_with_a_frame() {
     std::fs::copy(log.path(&picture(0, "ring_front_left")), log.path(&format!("{camera}/{between}.jpg")))
         .unwrap();
     let dataset = log.open().unwrap();
-    let frame = &dataset.log().frames[2];
+    let frame = &dataset.recording().frames[2];
     let sweeps: Vec<_> = frame.sweeps.iter().map(|s| (s.t_us, s.is_key)).collect();
     assert_eq!(sweeps, [(frame_ns(2) / 1000, true), (between / 1000, false)]);
     let images: Vec<_> = frame.between_images.iter().map(|i| (i.t_us, i.channel)).collect();
     assert_eq!(images, [(between / 1000, 6)]);
     assert!(frame.images.len() == 7 && frame.images[6].t_us == (frame_ns(2) + IMAGE_NS) / 1000);
-    assert!(dataset.log().notes.is_empty());
+    assert!(dataset.recording().notes.is_empty());
 }
 
 #[test]
 fn damaged_sweeps_and_images_are_named() {
     let log = TinyAv2::new();
     let dataset = log.open().unwrap();
-    let record = &dataset.log().frames[0].sweeps[0];
+    let record = &dataset.recording().frames[0].sweeps[0];
     let fails = |parts: &[&str]| {
         let message = dataset.read_sweep(record).unwrap_err().to_string();
         assert!(message.ends_with(record.path.to_str().unwrap()), "{message}");
@@ -391,7 +391,7 @@ fn damaged_sweeps_and_images_are_named() {
     fails(&["a Feather (Arrow IPC) file", "4 bytes"]);
     std::fs::remove_file(&record.path).unwrap();
     fails(&["cannot read"]);
-    let image = &dataset.log().frames[0].images[0];
+    let image = &dataset.recording().frames[0].images[0];
     std::fs::write(&image.path, "text").unwrap();
     assert!(dataset.read_image(image).unwrap_err().to_string().contains("a JPEG or PNG image"));
 }

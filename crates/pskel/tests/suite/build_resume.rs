@@ -6,7 +6,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Duration;
 
 use point_skeleton::cloud::Point;
-use point_skeleton::dataset::{Dataset, DatasetError, ImageRecord, Recording, Sweep, SweepRecord};
+use point_skeleton::dataset::{DatasetError, ImageRecord, LogReader, Recording, Sweep, SweepRecord};
 use point_skeleton::error::FileError;
 use point_skeleton::skeleton::{
     self, Asset, BuildError, BuildInput, BuildOptions, BuildReport, BuildRun, Progress, Skeleton,
@@ -19,13 +19,13 @@ use crate::tiny_log::{PSKEL, TinyLog, assert_failed, tree};
 
 /// A log whose sweeps can be read only a limited number of times.
 struct Breaking<'a> {
-    drive: &'a dyn Dataset,
+    drive: &'a dyn LogReader,
     left: AtomicUsize,
 }
 
-impl Dataset for Breaking<'_> {
-    fn log(&self) -> &Recording {
-        self.drive.log()
+impl LogReader for Breaking<'_> {
+    fn recording(&self) -> &Recording {
+        self.drive.recording()
     }
 
     fn read_sweep(&self, record: &SweepRecord) -> Result<Sweep, DatasetError> {
@@ -48,7 +48,7 @@ fn options(voxel_m: f64) -> BuildOptions {
 
 fn build(
     out: &Path,
-    log: &dyn Dataset,
+    log: &dyn LogReader,
     options: &BuildOptions,
     [checkpoint_frames, resume]: [usize; 2],
 ) -> Result<Skeleton, BuildError> {
@@ -108,7 +108,7 @@ fn a_build_stops_before_the_next_frame_is_read() {
     build(&out, &drive, &options, [100, 0]).unwrap();
     let whole = tree(&out);
     std::fs::remove_dir_all(&out).unwrap();
-    let stopped = |inquiries: usize, log: &dyn Dataset| {
+    let stopped = |inquiries: usize, log: &dyn LogReader| {
         let progress = Stopping(AtomicUsize::new(inquiries));
         let run = BuildRun { checkpoint_frames: 1, progress: &progress, ..BuildRun::default() };
         skeleton::build(&out, &[BuildInput::all(log)], &options, &|_| Ok(Vec::new()), &run)
@@ -266,7 +266,7 @@ fn an_image_of_two_frames_colors_both() {
     let (_files, drive) = made_town::read();
     let folder = tempfile::tempdir().unwrap();
     let reports = |images: Vec<ImageRecord>| {
-        let mut log = drive.log().clone();
+        let mut log = drive.recording().clone();
         log.frames.truncate(2);
         log.frames[1].images = images;
         let shared = WithLog { drive: &drive, log };
@@ -274,7 +274,7 @@ fn an_image_of_two_frames_colors_both() {
             build(&folder.path().join("sk"), &shared, &options, [20, 0]).unwrap().manifest.report
         })
     };
-    let images = &drive.log().frames[0].images;
+    let images = &drive.recording().frames[0].images;
     let copied = |(i, image): (usize, &ImageRecord)| {
         let path = folder.path().join(format!("{i}.jpg"));
         std::fs::copy(&image.path, &path).unwrap();
@@ -297,7 +297,7 @@ fn partial_of_tiny(log: &TinyLog) -> PathBuf {
     let dataset = pskel::logs::open(&format!("nuscenes:{}", log.path("log").display()).parse().unwrap());
     let dataset = dataset.unwrap();
     let fail = |_: &[(&Asset, &[Point])]| Err(FileError::content("templates", "none", Path::new("t")));
-    let inputs = [BuildInput::all(dataset.as_ref())];
+    let inputs = [BuildInput::all(dataset.reader())];
     let built = skeleton::build(
         &log.path("out/sk"),
         &inputs,

@@ -3,7 +3,7 @@
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
-use point_skeleton::dataset::{Dataset, DatasetError, ImageRecord, Recording, Sweep, SweepRecord};
+use point_skeleton::dataset::{DatasetError, ImageRecord, LogReader, Recording, Sweep, SweepRecord};
 use point_skeleton::skeleton::{self, BuildInput, BuildOptions, BuildRun, Skeleton};
 
 /// Returns the folder of recordings and fixtures: `PSKEL_SHARED`, else `../shared` from the project's root. Returns
@@ -36,25 +36,25 @@ pub(crate) fn fixtures(what: &str) -> Option<PathBuf> {
 /// Builds a skeleton from some frames of a log, without templates.
 pub(crate) fn skeleton_of(
     out: &Path,
-    log: &dyn Dataset,
+    log: &dyn LogReader,
     frames: &[usize],
     options: &BuildOptions,
 ) -> Skeleton {
-    let input = BuildInput { dataset: log, frames: frames.to_vec() };
+    let input = BuildInput { reader: log, frames: frames.to_vec() };
     skeleton::build(out, &[input], options, &|_| Ok(Vec::new()), &BuildRun::default()).unwrap()
 }
 
 /// Files of one dataset combined with another log.
 pub(crate) struct WithLog<'a> {
-    pub(crate) drive: &'a dyn Dataset,
+    pub(crate) drive: &'a dyn LogReader,
     pub(crate) log: Recording,
 }
 
 impl<'a> WithLog<'a> {
     /// Keeps only the sweeps of some frames and drops all images, so that all points are retained, in gray. Boxes
     /// stay, because they define the moving objects.
-    pub(crate) fn grey(drive: &'a dyn Dataset, kept: &[usize]) -> Self {
-        let mut log = drive.log().clone();
+    pub(crate) fn grey(drive: &'a dyn LogReader, kept: &[usize]) -> Self {
+        let mut log = drive.recording().clone();
         for (index, frame) in log.frames.iter_mut().enumerate() {
             frame.images.clear();
             if !kept.contains(&index) {
@@ -65,8 +65,8 @@ impl<'a> WithLog<'a> {
     }
 }
 
-impl Dataset for WithLog<'_> {
-    fn log(&self) -> &Recording {
+impl LogReader for WithLog<'_> {
+    fn recording(&self) -> &Recording {
         &self.log
     }
 

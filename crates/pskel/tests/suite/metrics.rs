@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use image::RgbImage;
-use point_skeleton::dataset::Dataset;
+use point_skeleton::dataset::LogReader;
 use point_skeleton::geometry::View;
 use pskel_eval::{
     FeatureSet, Overlap, VEHICLE_CLASS, frechet_distance, mean_interval, psnr_db, sharpness, ssim,
@@ -112,7 +112,7 @@ fn vehicle_masks_are_those_of_opencv() {
 #[test]
 fn vehicle_masks_are_those_of_the_town() {
     let [mut dense, mut sparse, mut points] = [Overlap::default(); 3];
-    for frame in &town().log().frames {
+    for frame in &town().recording().frames {
         let view = |image: &point_skeleton::dataset::ImageRecord| View {
             camera: image.camera.resized(64, 112),
             camera_from_world: image.camera_from_global().affine(),

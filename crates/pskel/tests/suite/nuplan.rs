@@ -2,7 +2,7 @@
 
 use glam::{DVec2, DVec3};
 use point_skeleton::dataset::nuplan::SIMGEN;
-use point_skeleton::dataset::{self, Class, Dataset, LogFormat, LogLocator};
+use point_skeleton::dataset::{self, Class, LogFormat, LogLocator, LogReader};
 use point_skeleton::geometry::{Distortion, View};
 use pskel::logs;
 
@@ -16,7 +16,7 @@ use crate::tiny_log::{PSKEL, tree};
 fn eight_cameras_at_half_the_rate_serve_every_frame() {
     let made = Made::new();
     let dataset = made.open().unwrap();
-    let log = dataset.log();
+    let log = dataset.recording();
     assert_eq!((log.name.as_str(), log.location.as_str()), (LOG, MAP));
     assert_eq!(log.description, "veh-01 2021-01-01");
     assert!(log.notes.is_empty(), "{:?}", log.notes);
@@ -47,7 +47,7 @@ fn eight_cameras_at_half_the_rate_serve_every_frame() {
 fn tracks_are_those_with_boxes_in_order_of_their_ids() {
     let made = Made::new();
     let dataset = made.open().unwrap();
-    let log = dataset.log();
+    let log = dataset.recording();
     let tracks: Vec<_> = log.tracks.iter().map(|t| (t.id.as_str(), t.category.as_str(), t.class)).collect();
     let expected =
         [("7400000000000008", "bicycle", Class::Cycle), ("7400000000000009", "vehicle", Class::MotorVehicle)];
@@ -66,7 +66,7 @@ fn tracks_are_those_with_boxes_in_order_of_their_ids() {
 fn known_points_fall_on_known_pixels() {
     let made = Made::new();
     let dataset = made.open().unwrap();
-    let frame = &dataset.log().frames[1];
+    let frame = &dataset.recording().frames[1];
     let eye = ego_at(0.1) + DVec3::Z * CAMERA_Z;
     let pixel = |channel: usize, offset: DVec3| {
         let image = &frame.images[channel];
@@ -92,7 +92,7 @@ fn known_points_fall_on_known_pixels() {
 fn points_lie_in_the_box_that_they_were_put_into() {
     let made = Made::new();
     let dataset = made.open().unwrap();
-    for frame in &dataset.log().frames {
+    for frame in &dataset.recording().frames {
         let record = &frame.sweeps[0];
         let sweep = dataset.read_sweep(record).unwrap();
         assert!(sweep.devices);
@@ -116,7 +116,7 @@ fn a_scene_is_a_part_of_the_log() {
     for scene in ["scene-001", "7300000000000001"] {
         let locator = LogLocator { scene: Some(scene.into()), ..made.locator() };
         let dataset = logs::open(&locator).unwrap();
-        let log = dataset.log();
+        let log = dataset.recording();
         let times: Vec<i64> = log.frames.iter().map(|f| (f.t_us - FIRST_US) / STEP_US).collect();
         assert_eq!((times, log.name.as_str()), (vec![2, 3], LOG));
         assert_eq!(log.description, "veh-01 2021-01-01, scene-001");
@@ -142,7 +142,7 @@ fn files_that_are_not_there_are_left_out_and_counted() {
         std::fs::remove_file(made.blob(&image_file(camera, 0))).unwrap();
     }
     let dataset = made.open().unwrap();
-    let log = dataset.log();
+    let log = dataset.recording();
     let notes: Vec<_> = log.notes.iter().map(|(kind, n)| (kind.as_str(), *n)).collect();
     assert_eq!(notes, [("missing image files", 3), ("missing sweep files", 1)]);
     let count = |of: fn(&dataset::Frame) -> usize| log.frames.iter().map(of).collect::<Vec<_>>();
@@ -152,7 +152,7 @@ fn files_that_are_not_there_are_left_out_and_counted() {
     assert!(log.frames[0].images.iter().all(|image| image.channel >= 3));
     // All blobs may be missing.
     std::fs::remove_dir_all(made.blob("")).unwrap();
-    let notes = made.open().unwrap().log().notes.clone();
+    let notes = made.open().unwrap().recording().notes.clone();
     assert_eq!(notes.into_values().collect::<Vec<_>>(), [16, 4]);
 }
 
@@ -163,7 +163,7 @@ fn cameras_without_an_image_near_a_frame_are_counted() {
     made.sql(&format!("DELETE FROM image WHERE token = {first};"));
     made.sql(&format!("UPDATE image SET timestamp = timestamp + 200000 WHERE token = {late};"));
     let dataset = made.open().unwrap();
-    let log = dataset.log();
+    let log = dataset.recording();
     let notes: Vec<_> = log.notes.iter().map(|(kind, n)| (kind.as_str(), *n)).collect();
     let (pose, others) = notes.split_first().unwrap();
     assert!(
@@ -189,17 +189,17 @@ fn images_that_no_frame_is_near_lie_between_frames() {
         "INSERT INTO image SELECT {new}, {rest}, timestamp + 25000 FROM image WHERE token = {old};"
     ));
     let dataset = made.open().unwrap();
-    let between: Vec<usize> = dataset.log().frames.iter().map(|f| f.between_images.len()).collect();
+    let between: Vec<usize> = dataset.recording().frames.iter().map(|f| f.between_images.len()).collect();
     // The image at 30 ms is closer to the frame at 50 ms than the one at 5 ms, which still serves the frame at 0 ms.
     assert_eq!(between, [0; 4]);
-    assert_eq!(dataset.log().frames[1].images[3].t_us, FIRST_US + 30_000);
+    assert_eq!(dataset.recording().frames[1].images[3].t_us, FIRST_US + 30_000);
     made.sql(&format!("UPDATE image SET timestamp = timestamp - 3000 WHERE token = {};", token('i', 99)));
     made.sql(&format!("UPDATE image SET timestamp = {} WHERE token = {};", FIRST_US + 49_000, token('i', 3)));
     made.sql(&format!("UPDATE image SET timestamp = {} WHERE token = {};", FIRST_US + 2_000, token('i', 13)));
     let dataset = made.open().unwrap();
-    let between: Vec<usize> = dataset.log().frames.iter().map(|f| f.between_images.len()).collect();
+    let between: Vec<usize> = dataset.recording().frames.iter().map(|f| f.between_images.len()).collect();
     assert_eq!(between, [0, 1, 0, 0]);
-    assert_eq!(dataset.log().frames[1].between_images[0].t_us, FIRST_US + 27_000);
+    assert_eq!(dataset.recording().frames[1].between_images[0].t_us, FIRST_US + 27_000);
 }
 
 #[test]
@@ -211,7 +211,7 @@ fn folders_and_sets_name_several_logs() {
         let logs = logs::expand(locator).map(|logs| logs.into_iter().map(|l| l.path).collect::<Vec<_>>());
         logs.map_err(|e| e.to_string())
     };
-    assert_eq!(logs::open(&name("nuplan:")).unwrap().log().name, LOG);
+    assert_eq!(logs::open(&name("nuplan:")).unwrap().recording().name, LOG);
     std::fs::copy(made.database(), folder.join("b.db")).unwrap();
     std::fs::write(folder.join("notes.txt"), "").unwrap();
     assert_eq!(expanded(&name("nuplan:")).unwrap(), [made.database(), folder.join("b.db")]);
@@ -237,7 +237,7 @@ fn folders_and_sets_name_several_logs() {
         SIMGEN.map(|log| folder.join(format!("{log}.db")))
     );
     let one = LogLocator { scene: Some(SIMGEN[3].into()), ..name("nuplan-simgen:") };
-    assert_eq!(logs::open(&one).unwrap().log().frames.len(), FRAMES);
+    assert_eq!(logs::open(&one).unwrap().recording().frames.len(), FRAMES);
     let file = LogLocator { format: LogFormat::NuPlanSimgen, ..made.locator() };
     assert!(expanded(&file).unwrap_err().contains("found a file"));
     let empty = LogLocator::new(LogFormat::NuPlan, made.path("maps"));
@@ -251,16 +251,16 @@ fn parts_may_lie_elsewhere() {
         std::fs::rename(made.path(from), made.path(to)).unwrap();
     }
     let dataset = made.open().unwrap();
-    assert_eq!((dataset.log().notes.len(), dataset.read_map().unwrap()), (2, None));
+    assert_eq!((dataset.recording().notes.len(), dataset.read_map().unwrap()), (2, None));
     let (sensor_root, map_root) = (Some(made.path("blobs")), Some(made.path("places")));
     let dataset = logs::open(&LogLocator { sensor_root, map_root, ..made.locator() }).unwrap();
-    assert!(dataset.log().notes.is_empty() && dataset.read_map().unwrap().is_some());
+    assert!(dataset.recording().notes.is_empty() && dataset.map().is_some());
     let gone = LogLocator { sensor_root: Some(made.path("gone")), ..made.locator() };
     assert_says(&logs::open(&gone).err().unwrap().to_string(), &["cannot read"], "gone");
     // The given map folder must contain the log's map.
     std::fs::write(made.path("places/nuplan-maps-v1.0.json"), "{}").unwrap();
     let said = LogLocator { map_root: Some(made.path("places")), ..made.locator() };
-    let message = logs::open(&said).unwrap().read_map().unwrap_err().to_string();
+    let message = logs::open(&said).unwrap().require_map().unwrap_err().to_string();
     assert_says(&message, &[&format!("expected map {MAP}, found none of that name")], "places");
 }
 

@@ -2,7 +2,7 @@
 //! expected and the found value, and the file.
 
 use point_skeleton::dataset::nuplan::NuPlan;
-use point_skeleton::dataset::{Dataset, LogFormat, LogLocator, MissingData};
+use point_skeleton::dataset::{LogFormat, LogLocator, LogReader, MissingData};
 use proptest::prelude::*;
 
 use crate::common::shared;
@@ -75,7 +75,7 @@ fn goals_that_are_not_there_are_counted() {
     let made = Made::new();
     made.sql("UPDATE scene SET goal_ego_pose_token = x'0123456789abcdef', roadblock_ids = '7 8';");
     let log = made.open().unwrap();
-    let (routes, notes) = (&log.log().routes, &log.log().notes);
+    let (routes, notes) = (&log.recording().routes, &log.recording().notes);
     assert!(!routes.is_empty() && routes.iter().all(|route| route.roadblocks == ["7", "8"]));
     assert!(routes.iter().all(|route| route.goal.is_none()));
     assert_eq!(notes["goals of routes that are not there"], routes.len());
@@ -221,7 +221,7 @@ fn what_belongs_to_no_frame_is_counted() {
     let kinds = ["scenario tags", "traffic lights", "boxes"];
     for (table, kind) in tables.into_iter().zip(kinds) {
         let made = Made::new();
-        let whole = made.open().unwrap().log().clone();
+        let whole = made.open().unwrap().recording().clone();
         let all = [
             whole.scenarios.values().map(Vec::len).sum(),
             whole.lights.len(),
@@ -230,10 +230,10 @@ fn what_belongs_to_no_frame_is_counted() {
         made.sql(&format!("UPDATE {table} SET lidar_pc_token = x'0102' WHERE rowid <= 2;"));
         for scene in [None, Some("scene-000".into())] {
             let dataset = NuPlan::open(&LogLocator { scene, ..made.locator() }).unwrap();
-            let notes: Vec<_> = dataset.log().notes.clone().into_iter().collect();
+            let notes: Vec<_> = dataset.recording().notes.clone().into_iter().collect();
             assert_eq!(notes, [(format!("{kind} of frames that are not there"), 2)]);
         }
-        let log = made.open().unwrap().log().clone();
+        let log = made.open().unwrap().recording().clone();
         assert_eq!(log.frames[0].boxes.is_empty(), table == "lidar_box");
         assert!(all.iter().all(|count: &usize| *count > 2));
         refused(
@@ -249,7 +249,7 @@ fn boxes_without_a_size_are_counted() {
         let made = Made::new();
         let box_0 = token('b', 10);
         made.sql(&format!("UPDATE lidar_box {statement} WHERE token = {box_0};"));
-        let log = made.open().unwrap().log().clone();
+        let log = made.open().unwrap().recording().clone();
         assert_eq!(log.notes.into_iter().collect::<Vec<_>>(), [("boxes without a size".to_owned(), 1)]);
         let boxes: Vec<usize> = log.frames.iter().map(|f| f.boxes.len()).collect();
         assert_eq!(boxes, [2, 1, 2, 2], "{statement}");
@@ -268,7 +268,7 @@ fn boxes_of_a_track_are_single() {
 fn damaged_blobs_are_named() {
     let made = Made::new();
     let dataset = made.open().unwrap();
-    let frame = &dataset.log().frames[0];
+    let frame = &dataset.recording().frames[0];
     let path = made.blob(&sweep_file(0));
     let whole = std::fs::read(&path).unwrap();
     let message = || {
@@ -485,7 +485,7 @@ proptest! {
             let opened = made.open();
             let map = opened.as_ref().ok().map(|dataset| dataset.read_map().is_ok());
             std::fs::write(&path, &whole).unwrap();
-            assert!(map != Some(true) || opened.unwrap().log().frames.len() <= 8);
+            assert!(map != Some(true) || opened.unwrap().recording().frames.len() <= 8);
         });
     }
 }

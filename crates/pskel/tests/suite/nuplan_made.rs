@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use glam::DVec3;
 use point_skeleton::dataset::nuplan::NuPlan;
-use point_skeleton::dataset::{Dataset, DatasetError, LogFormat, LogLocator, VectorMap};
+use point_skeleton::dataset::{DatasetError, LogFormat, LogLocator, LogReader, VectorMap};
 use rusqlite::Connection;
 
 use crate::tiny_log::camera_rotation;

@@ -6,7 +6,7 @@ use glam::{DVec2, DVec3};
 use point_skeleton::cloud::Point;
 use point_skeleton::dataset::nuplan::NuPlan;
 use point_skeleton::dataset::nuscenes::NuScenes;
-use point_skeleton::dataset::{Dataset, ImageRecord, LogFormat, LogLocator, VectorMap};
+use point_skeleton::dataset::{ImageRecord, LogFormat, LogLocator, LogReader, VectorMap};
 use point_skeleton::geometry::View;
 use point_skeleton::skeleton::{BuildOptions, Chunk, Part, Skeleton, Splitter, Trajectories};
 use rstar::{PointDistance, RTree};
@@ -46,7 +46,7 @@ fn open_nuscenes(folder: &Path) -> NuScenes {
 fn the_drive_is_read_as_its_readme_says() {
     let Some(folder) = folder() else { return };
     let dataset = open_nuplan(&folder);
-    let log = dataset.log();
+    let log = dataset.recording();
     assert_eq!((log.name.as_str(), log.location.as_str()), (NAME, "us-ca-pandaset-002"));
     assert_eq!((log.frames.len(), log.tracks.len()), (38, 98));
     assert_eq!(log.cameras, CAMERAS.map(|(name, _)| name));
@@ -94,7 +94,7 @@ fn the_drive_is_read_as_its_readme_says() {
 fn both_layouts_show_the_same_world() {
     let Some(folder) = folder() else { return };
     let (nuplan, nuscenes) = (open_nuplan(&folder), open_nuscenes(&folder));
-    let (a, b) = (nuplan.log(), nuscenes.log());
+    let (a, b) = (nuplan.recording(), nuscenes.recording());
     let mut compared = [0; 2];
     for (one, other) in a.frames.iter().zip(&b.frames) {
         assert_eq!(one.t_us + 50_000, other.t_us);
@@ -144,10 +144,10 @@ fn project_alike(image: &ImageRecord, twin: &ImageRecord, frame: &point_skeleton
 
 /// Builds a skeleton that retains the ego's own returns: which points count as such depends on the LiDAR's origin,
 /// which differs between the layouts.
-fn skeleton(out: &Path, drive: &dyn Dataset) -> Skeleton {
+fn skeleton(out: &Path, drive: &dyn LogReader) -> Skeleton {
     let mut options = BuildOptions { voxel_m: 0.0, ..BuildOptions::default() };
     options.split.ego_clearance_m = 0.0;
-    let frames: Vec<usize> = (0..drive.log().frames.len()).collect();
+    let frames: Vec<usize> = (0..drive.recording().frames.len()).collect();
     skeleton_of(out, &WithLog::grey(drive, &KEPT), &frames, &options)
 }
 
@@ -195,7 +195,7 @@ fn background_points_are_within_two_millimeters_of_the_other_layout() {
     assert!(lonely(&moved, &far).len() > moved.len() / 2);
     // A point near the side of a box, or of the volume it sweeps, may be inside in one layout and outside in the
     // other.
-    let log = nuscenes.log();
+    let log = nuscenes.recording();
     let frames: Vec<_> = log.frames.iter().collect();
     let trajectories = Trajectories::new(log, &frames);
     let splitters = KEPT.map(|i| {

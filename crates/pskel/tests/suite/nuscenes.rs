@@ -4,7 +4,7 @@ use std::path::Path;
 
 use glam::DVec3;
 use point_skeleton::dataset::nuscenes::{NuScenes, read_sweep_file};
-use point_skeleton::dataset::{Dataset, LogFormat, LogLocator, Recording, Sweep, TrackBox};
+use point_skeleton::dataset::{LogFormat, LogLocator, LogReader, Recording, Sweep, TrackBox};
 use point_skeleton::geometry::{Cuboid, Pose};
 
 use crate::common::shared;
@@ -32,7 +32,7 @@ fn file_points(log: &Recording) -> u64 {
 fn pandaset_drive_is_read_as_its_readme_says() {
     let Some(shared) = shared("the PandaSet drive") else { return };
     let dataset = open(&shared.join("data/pandaset-002/nuscenes"));
-    let log = dataset.log();
+    let log = dataset.recording();
     assert_eq!((log.name.as_str(), log.location.as_str()), ("scene-9002", "pandaset-002"));
     assert_eq!((log.frames.len(), log.tracks.len()), (38, 98));
     assert_eq!(log.frames.iter().map(|f| f.boxes.len()).sum::<usize>(), 3576);
@@ -56,7 +56,7 @@ fn pandaset_boxes_hold_the_points_that_are_stated() {
     let Some(shared) = shared("the PandaSet drive") else { return };
     let dataset = open(&shared.join("data/pandaset-002/nuscenes"));
     for index in [0, 20, 37] {
-        let frame = &dataset.log().frames[index];
+        let frame = &dataset.recording().frames[index];
         let record = &frame.sweeps[0];
         let sweep = dataset.read_sweep(record).unwrap();
         let global_from_lidar = record.global_from_ego * record.ego_from_lidar;

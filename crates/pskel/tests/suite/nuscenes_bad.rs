@@ -4,7 +4,7 @@
 use std::path::PathBuf;
 
 use point_skeleton::dataset::nuscenes::NuScenes;
-use point_skeleton::dataset::{Dataset, DatasetError, LogLocator, MissingData};
+use point_skeleton::dataset::{DatasetError, LogLocator, LogReader, MissingData};
 use proptest::prelude::*;
 use pskel::logs;
 use serde_json::{Value, json};
@@ -150,10 +150,10 @@ fn what_refers_to_a_missing_record_is_skipped_or_refused() {
         let kind = if boxes { "boxes" } else { "sweeps and images" };
         let kind = format!("{kind} that refer to a missing record");
         let log = broken.open_as("").unwrap();
-        let gaps = &log.log().gaps;
+        let gaps = &log.recording().gaps;
         assert!(gaps[0].to_string().contains(&format!("whose {target} nowhere is missing")), "{}", gaps[0]);
-        assert_eq!(log.log().notes[&kind], gaps.iter().filter(|gap| gap.kind == kind).count());
-        assert_eq!(log.log().frames.len(), FRAMES);
+        assert_eq!(log.recording().notes[&kind], gaps.iter().filter(|gap| gap.kind == kind).count());
+        assert_eq!(log.recording().frames.len(), FRAMES);
         let mut strict: LogLocator = format!("nuscenes:{}", broken.0.path().display()).parse().unwrap();
         strict.reading.missing = MissingData::Error;
         let message = NuScenes::open(&strict).expect_err("a log with gaps").to_string();
@@ -232,7 +232,7 @@ fn scenes_and_versions_must_be_chosen() {
     });
     broken.refuses("", &["expected #SCENE to name one of town-3, town-6, found none"], "scene.json");
     broken.refuses("#town-9", &["town-3, town-6, found town-9"], "scene.json");
-    assert_eq!(broken.open_as("#town-3").unwrap().log().frames.len(), FRAMES);
+    assert_eq!(broken.open_as("#town-3").unwrap().recording().frames.len(), FRAMES);
     let expand = |tail: &str| {
         let name: LogLocator = format!("nuscenes:{}{tail}", broken.0.path().display()).parse().unwrap();
         let scenes = |logs: Vec<LogLocator>| logs.into_iter().filter_map(|log| log.scene).collect::<Vec<_>>();
@@ -267,7 +267,7 @@ fn what_is_left_out_is_counted() {
         lidar["modality"] = json!("radar");
     });
     let dataset = broken.open_as("").unwrap();
-    let notes: Vec<(&str, usize)> = dataset.log().notes.iter().map(|(k, n)| (k.as_str(), *n)).collect();
+    let notes: Vec<(&str, usize)> = dataset.recording().notes.iter().map(|(k, n)| (k.as_str(), *n)).collect();
     let expected = [
         ("frames without a LiDAR sweep of their own", FRAMES),
         ("missing camera images", 1),
@@ -289,7 +289,7 @@ fn add_between(records: &mut Vec<Value>, channel: &str, t_us: i64) {
 #[test]
 fn what_lies_between_frames_belongs_to_the_interval_that_ends_with_a_frame() {
     let broken = Broken::new();
-    let times = broken.open_as("").unwrap().log().frames.iter().map(|f| f.t_us).collect::<Vec<_>>();
+    let times = broken.open_as("").unwrap().recording().frames.iter().map(|f| f.t_us).collect::<Vec<_>>();
     let (first, last) = (times[0], times[FRAMES - 1]);
     broken.edit("sample_data", |records| {
         for t_us in [last - 150_000, last - 50_000, first - 50_000, last + 50_000] {
@@ -302,7 +302,7 @@ fn what_lies_between_frames_belongs_to_the_interval_that_ends_with_a_frame() {
         }
     });
     let dataset = broken.open_as("").unwrap();
-    let log = dataset.log();
+    let log = dataset.recording();
     let sweeps = |i: usize| log.frames[i].sweeps.iter().map(|s| s.t_us).collect::<Vec<_>>();
     // The town itself has a sweep every 100 ms.
     assert_eq!(sweeps(0), [first, first - 50_000]);
@@ -327,7 +327,7 @@ fn what_lies_between_frames_belongs_to_the_interval_that_ends_with_a_frame() {
 fn damaged_sweeps_are_named() {
     let broken = Broken::with_files();
     let dataset = broken.open_as("").unwrap();
-    let record = &dataset.log().frames[0].sweeps[0];
+    let record = &dataset.recording().frames[0].sweeps[0];
     let whole = std::fs::read(&record.path).unwrap();
     let points = dataset.read_sweep(record).unwrap().points.len();
     let fails = |bytes: &[u8], parts: &[&str]| {
@@ -355,7 +355,7 @@ fn damaged_sweeps_are_named() {
 fn damaged_images_are_named() {
     let broken = Broken::with_files();
     let dataset = broken.open_as("").unwrap();
-    let record = &dataset.log().frames[0].images[0];
+    let record = &dataset.recording().frames[0].images[0];
     let path = record.path.to_str().unwrap();
     let whole = std::fs::read(path).unwrap();
     assert_eq!(dataset.read_image(record).unwrap().dimensions(), (160, 90));
@@ -396,7 +396,7 @@ proptest! {
             let opened = copy.open_as("");
             std::fs::write(&path, &whole).unwrap();
             if let Ok(dataset) = opened {
-                assert!(dataset.log().frames.len() <= FRAMES);
+                assert!(dataset.recording().frames.len() <= FRAMES);
             }
         });
     }

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use glam::DVec2;
 use point_skeleton::dataset::nuscenes::{NuScenes, read_map_file};
-use point_skeleton::dataset::{Area, Dataset, LogFormat, LogLocator, VectorMap};
+use point_skeleton::dataset::{Area, LogFormat, LogLocator, LogReader, VectorMap};
 use proptest::prelude::*;
 use serde_json::{Value, json};
 

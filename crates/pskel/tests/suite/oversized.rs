@@ -6,7 +6,7 @@ use std::sync::Arc;
 use arrow_array::Float64Array;
 use arrow_ipc::CompressionType;
 use point_skeleton::dataset::nuscenes::{NuScenes, read_map_file};
-use point_skeleton::dataset::{Dataset, LogFormat, LogLocator};
+use point_skeleton::dataset::{LogFormat, LogLocator, LogReader};
 use serde_json::json;
 
 use crate::av2_log::{TinyAv2, sweep, write};
@@ -47,7 +47,7 @@ fn columns_that_unpack_to_much_are_refused() {
         ["x", "y", "z", "intensity", "laser_number"].map(|name| (name.to_owned(), zeros.clone() as _));
     write(&path, columns.into(), Some(CompressionType::ZSTD));
     assert!(std::fs::metadata(&path).unwrap().len() < 20_000);
-    let record = &dataset.log().frames[0].sweeps[0];
+    let record = &dataset.recording().frames[0].sweeps[0];
     for message in [dataset.read_sweep(record).unwrap_err(), dataset.check_sweep(record).unwrap_err()] {
         let message = message.to_string();
         assert!(message.contains("columns that declare more than 16777216 bytes"), "{message}");

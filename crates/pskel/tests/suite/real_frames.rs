@@ -1,7 +1,7 @@
 //! Frames of a real log: the rasterizers of a device compared with the CPU rasterizer.
 
 use point_skeleton::dataset::nuscenes::NuScenes;
-use point_skeleton::dataset::{Dataset, LogFormat, LogLocator};
+use point_skeleton::dataset::{LogFormat, LogLocator, LogReader};
 use point_skeleton::geometry::{ImageSize, View};
 use point_skeleton::raster::reference::ReferenceRasterizer;
 use point_skeleton::raster::{
@@ -37,8 +37,8 @@ fn all_rasterizers_draw_a_real_frame_alike() {
     let drive = NuScenes::open(&locator).unwrap();
     let scratch = tempfile::tempdir().unwrap();
     let skeleton = skeleton_of(&scratch.path().join("s"), &drive, &[3, 4, 5], &BuildOptions::default());
-    let state = state_of_frame(drive.log(), 4, EgoOffset::default()).unwrap();
-    let stage = SceneClouds::with(&skeleton, &drive.log().name, Substitutes::built_in()).unwrap();
+    let state = state_of_frame(drive.recording(), 4, EgoOffset::default()).unwrap();
+    let stage = SceneClouds::with(&skeleton, &drive.recording().name, Substitutes::built_in()).unwrap();
     let instances = stage.instances(&state, &SelectionOptions::default());
     assert_ne!(instances.color, instances.geometry, "templates replace some actors");
     let clouds = stage.cloud_set();

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use glam::DVec3;
 use point_skeleton::cloud::Point;
 use point_skeleton::dataset::nuscenes::NuScenes;
-use point_skeleton::dataset::{Class, Dataset, Frame, LogFormat, LogLocator};
+use point_skeleton::dataset::{Class, Frame, LogFormat, LogLocator, LogReader};
 use point_skeleton::skeleton::{BuildOptions, Skeleton};
 use rstar::{PointDistance, RTree};
 use tempfile::TempDir;
@@ -19,7 +19,7 @@ fn single_sweeps() -> Option<(NuScenes, Vec<Skeleton>, TempDir)> {
     let path = shared("the PandaSet drive")?.join("data/pandaset-002/nuscenes");
     let drive = NuScenes::open(&LogLocator::new(LogFormat::NuScenes, path)).unwrap();
     let options = BuildOptions { voxel_m: 0.0, ..BuildOptions::default() };
-    let all: Vec<usize> = (0..drive.log().frames.len()).collect();
+    let all: Vec<usize> = (0..drive.recording().frames.len()).collect();
     let folder = tempfile::tempdir().unwrap();
     let skeleton = |kept: usize| {
         skeleton_of(&folder.path().join(kept.to_string()), &WithLog::grey(&drive, &[kept]), &all, &options)
@@ -54,7 +54,7 @@ fn background_in_boxes(skeleton: &Skeleton, frame: &Frame, ground_m: f64) -> [us
 fn no_background_point_lies_in_a_box_above_the_ground() {
     let Some((dataset, skeletons, _folder)) = single_sweeps() else { return };
     for (index, skeleton) in FRAMES.into_iter().zip(&skeletons) {
-        let frame = &dataset.log().frames[index];
+        let frame = &dataset.recording().frames[index];
         let [checked, inside] = background_in_boxes(skeleton, frame, 0.2);
         assert!(checked > 50_000 && inside == 0, "frame {index}: {inside} of {checked} background points");
         // The count can fail: the road under the cars is in the boxes.
@@ -104,7 +104,7 @@ fn raised(point: &Point, by_m: f32) -> Point {
 
 /// Returns the distance between a track's first and last box within the frames, meters.
 fn travel_m(dataset: &NuScenes, track: &str) -> f64 {
-    let log = dataset.log();
+    let log = dataset.recording();
     let track = log.tracks.iter().position(|t| t.id == track).unwrap();
     let at = |i: usize| log.frames[i].cuboid_of(track).map(|c| c.pose.translation);
     let places: Vec<DVec3> = FRAMES.into_iter().filter_map(at).collect();

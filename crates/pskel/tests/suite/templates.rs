@@ -289,10 +289,10 @@ fn templates_of_a_real_drive_have_sizes_of_their_kind() {
     let folder = folder.join("data/pandaset-002/nuscenes");
     let locator = format!("nuscenes:{}", folder.display()).parse().unwrap();
     let dataset = pskel::logs::open(&locator).unwrap();
-    let frames: Vec<usize> = (0..dataset.log().frames.len()).step_by(4).collect();
+    let frames: Vec<usize> = (0..dataset.recording().frames.len()).step_by(4).collect();
     let options = BuildOptions::default();
     let scratch = tempfile::tempdir().unwrap();
-    let built = skeleton_of(&scratch.path().join("s"), dataset.as_ref(), &frames, &options);
+    let built = skeleton_of(&scratch.path().join("s"), dataset.reader(), &frames, &options);
     let assets: Vec<(&Asset, &[Point])> = built.manifest.actors.iter().zip(built.actors().unwrap()).collect();
     let mut instances = Instances::new(TemplateOptions::default());
     instances.add(&assets);

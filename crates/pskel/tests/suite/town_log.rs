@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use glam::{DVec2, DVec3};
 use point_skeleton::dataset::nuscenes::write_log;
 use point_skeleton::dataset::{
-    Dataset, EgoTrack, ImageRecord, Lane, MovedEgo, PosedActor, RigCamera, TrackBox,
+    EgoTrack, ImageRecord, Lane, LogReader, MovedEgo, PosedActor, RigCamera, TrackBox,
 };
 use point_skeleton::geometry::{Cuboid, Pose, View};
 use point_skeleton::scene::{EgoOffset, state_at, state_of_frame};
@@ -17,7 +17,7 @@ use crate::made_town::{self, FRAMES, OPTIONS, town};
 use crate::tiny_log::tree;
 
 fn views(town: &Town, frame: usize) -> Vec<View> {
-    let state = state_of_frame(town.log(), frame, EgoOffset::default()).unwrap();
+    let state = state_of_frame(town.recording(), frame, EgoOffset::default()).unwrap();
     state.cameras.into_iter().map(|camera| camera.view).collect()
 }
 
@@ -30,9 +30,9 @@ fn close(a: &Pose, b: &Pose) -> bool {
 fn a_moved_ego_takes_its_cameras_along() {
     let offset = EgoOffset { x_m: 0.5, y_m: 2.0, yaw_rad: 0.1 };
     let moved = MovedEgo::new(Box::new(Town::new(&OPTIONS).unwrap()), offset).unwrap();
-    let log = town().log();
+    let log = town().recording();
     for frame in 0..FRAMES {
-        let found = state_of_frame(moved.log(), frame, EgoOffset::default()).unwrap();
+        let found = state_of_frame(moved.recording(), frame, EgoOffset::default()).unwrap();
         let expected = state_of_frame(log, frame, offset).unwrap();
         assert!(close(&found.global_from_ego, &expected.global_from_ego));
         assert_eq!((&found.actors, found.cameras.len()), (&expected.actors, 6));
@@ -43,10 +43,10 @@ fn a_moved_ego_takes_its_cameras_along() {
         }
     }
     // Between frames too, and without moving the LiDAR.
-    let (track, moved_track) = (EgoTrack::new(log), EgoTrack::new(moved.log()));
+    let (track, moved_track) = (EgoTrack::new(log), EgoTrack::new(moved.recording()));
     let (first, last) = (log.frames[0].t_us, log.frames[FRAMES - 1].t_us);
     for t_us in (first..=last).step_by(30_000) {
-        let found = state_at(moved.log(), &moved_track, t_us, EgoOffset::default()).unwrap();
+        let found = state_at(moved.recording(), &moved_track, t_us, EgoOffset::default()).unwrap();
         let expected = state_at(log, &track, t_us, offset).unwrap();
         let off = found.global_from_ego.inverse() * expected.global_from_ego;
         assert!(
@@ -55,7 +55,7 @@ fn a_moved_ego_takes_its_cameras_along() {
         );
     }
     for (sweep, before) in
-        moved.log().frames.iter().zip(&log.frames).flat_map(|(a, b)| a.sweeps.iter().zip(&b.sweeps))
+        moved.recording().frames.iter().zip(&log.frames).flat_map(|(a, b)| a.sweeps.iter().zip(&b.sweeps))
     {
         assert!(close(
             &(sweep.global_from_ego * sweep.ego_from_lidar),
@@ -78,7 +78,7 @@ fn away(point: DVec2, line: &[DVec2]) -> f64 {
 
 #[test]
 fn frames_sweeps_and_images_have_their_times() {
-    let log = town().log();
+    let log = town().recording();
     assert_eq!(
         (log.name.as_str(), log.location.as_str(), log.frames.len()),
         ("town-3-6f-dusk", "town", FRAMES)
@@ -106,11 +106,11 @@ fn frames_sweeps_and_images_have_their_times() {
     assert!(between.translation.distance(image.global_from_ego.translation) < 0.02);
     // With other rates of frames and LiDAR turns, every turn occurs once.
     let other = Town::new(&TownOptions { frames: 4, hz: 4.0, lidar_hz: 20.0, ..OPTIONS }).unwrap();
-    let counts: Vec<usize> = other.log().frames.iter().map(|frame| frame.sweeps.len()).collect();
+    let counts: Vec<usize> = other.recording().frames.iter().map(|frame| frame.sweeps.len()).collect();
     assert_eq!(counts, [1, 5, 5, 5]);
     // Names distinguish drives, but not recording options.
-    let named = |options: TownOptions| Town::new(&options).unwrap().log().name.clone();
-    assert_eq!(other.log().name, "town-3-4f-4hz-dusk");
+    let named = |options: TownOptions| Town::new(&options).unwrap().recording().name.clone();
+    assert_eq!(other.recording().name, "town-3-4f-4hz-dusk");
     assert_eq!(named(TownOptions { beams: 64, size: [45, 80], ..OPTIONS }), log.name);
     assert_eq!(named(TownOptions { daylight: Some(Daylight::Day), ..OPTIONS }), "town-3-6f-day");
 }
@@ -119,7 +119,7 @@ fn frames_sweeps_and_images_have_their_times() {
 fn a_town_written_is_read_as_it_was() {
     let (town, (_files, read)) = (town(), made_town::read());
     assert_eq!(made_town::written().done, (0..FRAMES).collect::<Vec<_>>());
-    let (a, b) = (town.log(), read.log());
+    let (a, b) = (town.recording(), read.recording());
     assert_eq!((&a.name, &a.location, &a.cameras, &a.tracks), (&b.name, &b.location, &b.cameras, &b.tracks));
     let mounts = |(a, b): (&RigCamera, &RigCamera)| {
         (a.channel, &a.camera) == (b.channel, &b.camera) && close(&a.ego_from_camera, &b.ego_from_camera)
@@ -152,10 +152,10 @@ fn a_town_written_is_read_as_it_was() {
         }
     }
     let [image, jpeg] =
-        [town, &read as &dyn Dataset].map(|d| d.read_image(&d.log().frames[1].images[0]).unwrap());
+        [town, &read as &dyn LogReader].map(|d| d.read_image(&d.recording().frames[1].images[0]).unwrap());
     let off: u64 = image.iter().zip(jpeg.iter()).map(|(a, b)| u64::from(a.abs_diff(*b))).sum();
     assert!(off < 4 * image.len() as u64, "JPEG changes a channel by {} levels", off / image.len() as u64);
-    let [mut a, mut b] = [town, &read as &dyn Dataset].map(|d| d.read_map().unwrap().unwrap());
+    let [mut a, mut b] = [town, &read as &dyn LogReader].map(|d| d.read_map().unwrap().unwrap());
     let lines = |lanes: &mut Vec<Lane>| -> Vec<Vec<DVec2>> {
         lanes.iter_mut().map(|lane| std::mem::take(&mut lane.centerline)).collect()
     };
@@ -188,7 +188,7 @@ fn the_same_options_give_the_same_bytes() {
 #[test]
 fn the_lidar_and_the_cameras_agree() {
     let town = town();
-    let frame = &town.log().frames[1];
+    let frame = &town.recording().frames[1];
     let image = &frame.images[3];
     assert_eq!(image.t_us, frame.t_us);
     // Pixels so small that the depth of distant ground changes little within one.
@@ -229,7 +229,7 @@ fn the_lidar_and_the_cameras_agree() {
 #[test]
 fn boxes_hold_their_actors() {
     let town = town();
-    let frames = &town.log().frames;
+    let frames = &town.recording().frames;
     let (frame, record) = (&frames[0], &frames[0].sweeps[0]);
     let sweep = town.read_sweep(record).unwrap();
     let global_from_lidar = record.global_from_ego * record.ego_from_lidar;
@@ -250,7 +250,7 @@ fn boxes_hold_their_actors() {
             .is_some_and(|c: Cuboid| close(&c.pose, &item.cuboid.pose));
         if stands {
             // Range errors are 1.5 cm, and at most five times that.
-            assert_eq!(inside(0.08), inside(0.12), "{}", town.log().tracks[item.track].id);
+            assert_eq!(inside(0.08), inside(0.12), "{}", town.recording().tracks[item.track].id);
         }
         if item.cuboid.pose.translation.distance(frame.global_from_ego.translation) < 20.0 {
             near += 1;
@@ -263,7 +263,7 @@ fn boxes_hold_their_actors() {
 #[test]
 fn the_truth_is_numbered_as_boxes_are() {
     let town = town();
-    let frame = &town.log().frames[1];
+    let frame = &town.recording().frames[1];
     let views = views(town, 1);
     let seen = town.truth(frame.t_us, &views).unwrap();
     let mut shown = 0;
@@ -274,7 +274,7 @@ fn the_truth_is_numbered_as_boxes_are() {
                 continue;
             };
             let item = &frame.boxes[index];
-            assert_eq!(*class, town.log().tracks[item.track].class as u8);
+            assert_eq!(*class, town.recording().tracks[item.track].class as u8);
             // The point that the pixel shows lies in the box.
             let centre = DVec3::new((pixel % 160) as f64 + 0.5, (pixel / 160) as f64 + 0.5, 1.0);
             let in_camera = view.camera.intrinsics.inverse() * centre * f64::from(seen.depth_m[pixel]);
@@ -289,7 +289,7 @@ fn the_truth_is_numbered_as_boxes_are() {
     let actors: Vec<PosedActor<'_>> = frame
         .boxes
         .iter()
-        .map(|item| PosedActor { track: &town.log().tracks[item.track].id, cuboid: item.cuboid })
+        .map(|item| PosedActor { track: &town.recording().tracks[item.track].id, cuboid: item.cuboid })
         .collect();
     let again = town.truth_of(frame.t_us, &actors, &views).unwrap();
     for (a, b) in seen.iter().zip(&again) {
@@ -338,7 +338,7 @@ fn points_in_boxes(
     at_their_times: bool,
 ) -> BTreeMap<String, usize> {
     let SplitOptions { margin_m, ground_m, .. } = SplitOptions::default();
-    let log = drive.log();
+    let log = drive.recording();
     let mut counts = BTreeMap::new();
     let records = log.frames.iter().enumerate().flat_map(|(i, f)| f.sweeps.iter().map(move |s| (i, s)));
     for (index, record) in records.filter(|(_, s)| s.is_key || between_sweeps) {

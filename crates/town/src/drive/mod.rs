@@ -1,4 +1,4 @@
-//! The town as a recorded log: a [`Dataset`] whose sweeps and images are generated when they are read.
+//! The town as a recorded log: a [`LogReader`] whose sweeps and images are generated when they are read.
 //!
 //! # How it works
 //! `record` converts the plan to a log: poses of all actors at the times of frames, sweeps and images. The LiDAR
@@ -22,7 +22,7 @@ pub use write::WriteError;
 
 use image::RgbImage;
 use point_skeleton::dataset::{
-    Dataset, DatasetError, ImageRecord, LogFormat, PosedActor, Recording, Sweep, SweepRecord, VectorMap,
+    DatasetError, ImageRecord, LogFormat, LogReader, PosedActor, Recording, Sweep, SweepRecord, VectorMap,
     ViewRenderer,
 };
 use point_skeleton::geometry::View;
@@ -32,8 +32,8 @@ use self::town::LOCATION;
 /// Format of a locator whose path has the [`TownOptions`](crate::TownOptions).
 pub const FORMAT: LogFormat = LogFormat::Other("town");
 
-impl Dataset for Town {
-    fn log(&self) -> &Recording {
+impl LogReader for Town {
+    fn recording(&self) -> &Recording {
         &self.log
     }
 

@@ -70,7 +70,7 @@ impl Town {
 
     /// Returns the log's name and the recording options that differ from the defaults: skeletons of two recordings
     /// differ.
-    pub fn recording(&self) -> String {
+    pub fn recording_name(&self) -> String {
         let TownOptions { lidar_hz, beams, size: [height, width], .. } = self.options;
         let usual = TownOptions::default();
         let mut name = self.log.name.clone();

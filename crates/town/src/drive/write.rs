@@ -3,7 +3,7 @@ use std::path::Path;
 
 use point_skeleton::conditions::{CameraConditions, ConditionError, ConditionSet, DepthBins, exr, png};
 use point_skeleton::dataset::nuscenes::LogWriter;
-use point_skeleton::dataset::{Dataset, DatasetError};
+use point_skeleton::dataset::{DatasetError, LogReader};
 use point_skeleton::error::FileError;
 use point_skeleton::files::{FileName, write_json};
 
@@ -55,7 +55,7 @@ impl Town {
     /// # Errors
     /// Fails if an image cannot be rendered or a file cannot be written.
     pub fn write_truth(&self, folder: &Path, frame_done: &mut dyn FnMut(usize)) -> Result<(), WriteError> {
-        let log = self.log();
+        let log = self.recording();
         for (index, frame) in log.frames.iter().enumerate() {
             let cameras = frame.images.iter().map(|image| log.cameras[image.channel].clone());
             let (depth, masks) =

@@ -39,7 +39,7 @@ impl LayoutWriter for WorldScenario<'_> {
 
     fn finish(self: Box<Self>, shard: &mut Shard) -> Result<(), ExportError> {
         let name = shard.name().to_owned();
-        let clip = Clip::new(self.source.log(), shard.frames(), &name);
+        let clip = Clip::new(self.source.recording(), shard.frames(), &name);
         for Table { kind, schema, columns } in
             clip.tables(self.source.map.as_deref().map(SceneMap::vector_map))
         {

@@ -88,11 +88,11 @@ impl Opened {
         [ego_follows_log, actors_follow_log]: [bool; 2],
     ) -> anyhow::Result<Box<dyn ImageGenerator + 'a>> {
         let scene = GenerationScene {
-            log: inputs.dataset.log(),
+            log: inputs.log.recording(),
             map: inputs.map.clone(),
             prompt: &inputs.prompt,
             captions: self.captions,
-            truth: GroundTruthImages::new(inputs.dataset.as_ref()),
+            truth: GroundTruthImages::new(inputs.log.reader()),
             ego_follows_log,
             actors_follow_log,
         };

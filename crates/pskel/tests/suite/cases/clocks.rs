@@ -156,8 +156,8 @@ fn sweeps_of_another_clock_are_refused_in_nuplan() {
     made.refuses(&["within a second of the log's lidar_pc", "earlier (1 h"]);
     let made = Made::new();
     made.sql(&format!("UPDATE ego_pose SET timestamp = timestamp + {HOUR_US}"));
-    use point_skeleton::dataset::Dataset;
-    let notes = made.open().unwrap().log().notes.clone();
+    use point_skeleton::dataset::LogReader;
+    let notes = made.open().unwrap().recording().notes.clone();
     let note = notes.iter().find(|(note, _)| note.contains("ego poses of another time")).unwrap();
     assert!(note.0.contains("later (1 h"), "{note:?}");
 }
@@ -203,12 +203,12 @@ fn boxes_of_which_none_has_a_point_are_noted() {
 
 #[test]
 fn images_beside_their_ego_pose_are_noted_in_nuplan() {
-    use point_skeleton::dataset::Dataset;
+    use point_skeleton::dataset::LogReader;
     let made = Made::new();
-    assert!(made.open().unwrap().log().notes.keys().all(|note| !note.contains("another time")));
+    assert!(made.open().unwrap().recording().notes.keys().all(|note| !note.contains("another time")));
     let camera = token('c', 2);
     made.sql(&format!("UPDATE image SET timestamp = timestamp + 500000 WHERE camera_token = {camera}"));
-    let notes = made.open().unwrap().log().notes.clone();
+    let notes = made.open().unwrap().recording().notes.clone();
     let note = notes.iter().find(|(note, _)| note.contains("another time")).unwrap();
     let begin = "ego poses of another time than their data of CAM_R1 (used; ego_pose ";
     assert!(note.0.starts_with(begin) && note.0.ends_with("is 0.500 s earlier)"), "{note:?}");

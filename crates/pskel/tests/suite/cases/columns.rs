@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use point_skeleton::dataset::nuscenes::{read_sweep_file, write_sweep_file};
-use point_skeleton::dataset::{Dataset, Sweep, SweepPoint};
+use point_skeleton::dataset::{LogReader, Sweep, SweepPoint};
 use serde_json::Value;
 
 use super::Case;
@@ -278,7 +278,7 @@ fn argoverse_sweeps_keep_points_without_intensities_or_beams() {
     use arrow_array::{Float32Array, UInt8Array};
     let log = TinyAv2::new();
     let dataset = log.open().unwrap();
-    let record = dataset.log().frames[0].sweeps[0].clone();
+    let record = dataset.recording().frames[0].sweeps[0].clone();
     let before = dataset.read_sweep(&record).unwrap();
     let rows = before.points.len();
     for (null, intensity) in [(true, None), (false, Some(f32::NAN))] {
@@ -300,7 +300,7 @@ fn argoverse_sweeps_keep_points_without_intensities_or_beams() {
 /// Reads the first sweep of a nuPlan log.
 fn read(made: &Made) -> Result<Sweep, String> {
     let dataset = made.open().unwrap();
-    dataset.read_sweep(&dataset.log().frames[0].sweeps[0]).map_err(|error| error.to_string())
+    dataset.read_sweep(&dataset.recording().frames[0].sweeps[0]).map_err(|error| error.to_string())
 }
 
 /// Writes a PCD file with a device column in place of a sweep of nuPlan, of points around the LiDAR.

@@ -198,7 +198,7 @@ trait MapError {
     fn read_map_error(&self) -> String;
 }
 
-impl<D: point_skeleton::dataset::Dataset> MapError for D {
+impl<D: point_skeleton::dataset::LogReader> MapError for D {
     fn read_map_error(&self) -> String {
         self.read_map().unwrap_err().to_string()
     }

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use point_skeleton::dataset::nuscenes::{NuScenes, read_sweep_file};
-use point_skeleton::dataset::{Dataset, LogFormat, LogLocator, Sweep};
+use point_skeleton::dataset::{LogFormat, LogLocator, LogReader, Sweep};
 use serde_json::Value;
 
 use super::Case;
@@ -114,7 +114,7 @@ fn merged_lidars_are_decided_once_per_log() {
     let locator = LogLocator::new(LogFormat::NuScenes, sweeps.case.path().join("in/b"));
     let dataset = NuScenes::open(&locator).unwrap();
     let read = |record| dataset.read_sweep(record).unwrap().devices;
-    assert!(dataset.log().frames.iter().flat_map(|frame| &frame.sweeps).all(read));
+    assert!(dataset.recording().frames.iter().flat_map(|frame| &frame.sweeps).all(read));
     let (_, notes) = sweeps.build();
     assert_eq!(notes["sweeps of merged LiDARs (--ring-is beam if not)"], 4, "{notes}");
 }
@@ -210,7 +210,7 @@ fn headers_without_points_are_damaged_files() {
     bytes[start..].fill(0);
     std::fs::write(&path, bytes).unwrap();
     let dataset = made.open().unwrap();
-    let error = dataset.read_sweep(&dataset.log().frames[0].sweeps[0]).unwrap_err();
+    let error = dataset.read_sweep(&dataset.recording().frames[0].sweeps[0]).unwrap_err();
     assert!(error.is_damage() && error.to_string().contains("points at the origin"), "{error}");
 }
 
@@ -220,7 +220,7 @@ fn argoverse_sweeps_need_coordinates_alone() {
     use arrow_array::Float32Array;
     let log = TinyAv2::new();
     let dataset = log.open().unwrap();
-    let record = dataset.log().frames[0].sweeps[0].clone();
+    let record = dataset.recording().frames[0].sweeps[0].clone();
     let before = dataset.read_sweep(&record).unwrap();
     for column in ["intensity", "laser_number"] {
         log.edit(&av2_log::sweep(0), |columns| columns.retain(|(name, _)| name != column));

@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use point_skeleton::dataset::nuscenes::NuScenes;
-use point_skeleton::dataset::{Class, Dataset, LogFormat, LogLocator, Recording};
+use point_skeleton::dataset::{Class, LogFormat, LogLocator, LogReader, Recording};
 use serde_json::{Value, json};
 
 use super::Case;
@@ -11,7 +11,7 @@ use crate::nuplan_made::Made;
 use crate::tiny_log::{TinyLog, assert_failed};
 
 fn recording(root: &Path) -> Recording {
-    NuScenes::open(&LogLocator::new(LogFormat::NuScenes, root)).unwrap().log().clone()
+    NuScenes::open(&LogLocator::new(LogFormat::NuScenes, root)).unwrap().recording().clone()
 }
 
 fn note(log: &Recording, kind: &str) -> usize {
@@ -71,12 +71,12 @@ fn boxes_of_unknown_categories_are_counted() {
     let made = Made::new();
     made.sql("UPDATE category SET name = 'Hovercraft';");
     let log = made.open().unwrap();
-    let count: usize = log.log().frames.iter().map(|frame| frame.boxes.len()).sum();
+    let count: usize = log.recording().frames.iter().map(|frame| frame.boxes.len()).sum();
     assert!(count > 0);
-    assert_eq!(note(log.log(), "boxes of the unknown category Hovercraft (read as objects)"), count);
+    assert_eq!(note(log.recording(), "boxes of the unknown category Hovercraft (read as objects)"), count);
     made.sql("UPDATE category SET name = 'Car';");
     let log = made.open().unwrap();
-    assert!(log.log().tracks.iter().all(|track| track.class == Class::MotorVehicle));
+    assert!(log.recording().tracks.iter().all(|track| track.class == Class::MotorVehicle));
 }
 
 #[test]

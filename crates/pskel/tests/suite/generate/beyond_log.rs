@@ -1,7 +1,7 @@
 //! Forecasts of a closed loop that drives on after the end of the log.
 
 use point_skeleton::dataset::nuscenes::NuScenes;
-use point_skeleton::dataset::{Dataset, LogFormat, LogLocator};
+use point_skeleton::dataset::{LogFormat, LogLocator, LogReader};
 use point_skeleton::geometry::ImageSize;
 use point_skeleton::raster::{RasterizerDesc, RasterizerKind};
 use point_skeleton::skeleton::Skeleton;
@@ -16,7 +16,7 @@ use crate::simulate::built;
 fn forecasts_go_on_after_the_end_of_the_log() {
     let folder = built();
     let dataset = NuScenes::open(&LogLocator::new(LogFormat::NuScenes, folder.path("log"))).unwrap();
-    let log = dataset.log();
+    let log = dataset.recording();
     let skeleton = Skeleton::open_for(&folder.path("sk"), log).unwrap();
     let rasterizer = RasterizerDesc::from(RasterizerKind::Cpu);
     let render = RenderOptions { rasterizer, log: Some(&log.name), ..RenderOptions::default() };

@@ -2,7 +2,7 @@
 
 use glam::DVec2;
 use point_skeleton::dataset::nuscenes::NuScenes;
-use point_skeleton::dataset::{Dataset, EgoTrack, LogFormat, LogLocator, Recording};
+use point_skeleton::dataset::{EgoTrack, LogFormat, LogLocator, LogReader, Recording};
 use point_skeleton::geometry::{Polyline, wrap_angle};
 use pskel_sim::{
     EgoPolicy, EndReason, Instant, LocalPath, PathAnchor, Rates, Scenario, SimOptions, Simulation, Tracking,
@@ -74,7 +74,7 @@ fn a_lane_change_in_the_town_reaches_its_lane_in_comfort() {
         let town =
             Town::new(&TownOptions { seed, frames: 50, size: [18, 32], ..TownOptions::default() }).unwrap();
         for tracking in [Tracking::Perfect, Tracking::Bicycle] {
-            assert_changes_lane(town.log(), Rates::default(), tracking);
+            assert_changes_lane(town.recording(), Rates::default(), tracking);
         }
     }
 }
@@ -86,7 +86,7 @@ fn a_real_lane_change_reaches_its_lane_in_comfort() {
     let drive = NuScenes::open(&locator).unwrap();
     for tracking in [Tracking::Perfect, Tracking::Bicycle] {
         for rates in [Rates::default(), Rates::NUSCENES] {
-            assert_changes_lane(drive.log(), rates, tracking);
+            assert_changes_lane(drive.recording(), rates, tracking);
         }
     }
 }

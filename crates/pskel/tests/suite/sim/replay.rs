@@ -1,6 +1,6 @@
 use glam::{DVec2, DVec3};
 use point_skeleton::dataset::nuscenes::NuScenes;
-use point_skeleton::dataset::{Dataset, EgoTrack, LogFormat, LogLocator, Recording};
+use point_skeleton::dataset::{EgoTrack, LogFormat, LogLocator, LogReader, Recording};
 use pskel_sim::{
     ActorPolicy, Committed, EgoPolicy, EndReason, Instant, Rates, Scenario, SimError, SimOptions, Simulation,
     scene_state,
@@ -197,13 +197,14 @@ fn a_real_drive_is_replayed_exactly() {
     let Some(shared) = shared("the PandaSet drive") else { return };
     let locator = LogLocator::new(LogFormat::NuScenes, shared.join("data/pandaset-002/nuscenes"));
     let drive = NuScenes::open(&locator).unwrap();
-    let scenario = Scenario { log: drive.log(), map: None, rates: Rates::of(LogFormat::NuScenes) };
+    let scenario = Scenario { log: drive.recording(), map: None, rates: Rates::of(LogFormat::NuScenes) };
     assert_eq!(scenario.rates, Rates::NUSCENES);
     let mut sim = Simulation::new(&scenario, SimOptions { steps: 500, ..SimOptions::default() }).unwrap();
     let instants = all(&mut sim);
-    assert_is_the_log(drive.log(), &instants);
+    assert_is_the_log(drive.recording(), &instants);
     assert_eq!(sim.ended(), Some(EndReason::LogEnded));
-    let seconds = (drive.log().frames.last().unwrap().t_us - drive.log().frames[0].t_us) as f64 / 1e6;
+    let seconds =
+        (drive.recording().frames.last().unwrap().t_us - drive.recording().frames[0].t_us) as f64 / 1e6;
     assert_eq!(instants.len(), (seconds * 12.0) as usize + 1);
     assert!(instants.iter().any(|i| !i.actors.is_empty()));
 }
