@@ -2,14 +2,15 @@ use std::fmt;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
+use super::format::{LogFormat, format_names, formats};
 use super::{DatasetError, ReadOptions};
 
 /// Location of a log. Text form: `FORMAT:PATH[@VERSION][#SCENE]`.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct LogLocator {
     /// Format, which selects the reader.
-    pub format: LogFormat,
-    /// Folder or file; with [`LogFormat::Other`], any text that its reader understands.
+    pub format: &'static LogFormat,
+    /// Folder or file; any text that the reader understands if [`LogFormat::has_path`] is `false`.
     pub path: PathBuf,
     /// Version of the data set, for instance `v1.0-mini`.
     pub version: Option<String>,
@@ -28,13 +29,12 @@ pub struct LogLocator {
 impl LogLocator {
     /// Returns the files and folders that the log is read from, as far as the locator names them.
     pub fn inputs(&self) -> impl Iterator<Item = &Path> {
-        let is_path = !matches!(self.format, LogFormat::Other(_));
         let roots = [&self.sensor_root, &self.map_root].into_iter().flatten();
-        is_path.then_some(&self.path).into_iter().chain(roots).map(PathBuf::as_path)
+        self.format.has_path.then_some(&self.path).into_iter().chain(roots).map(PathBuf::as_path)
     }
 
     /// Creates a locator for the only scene of a path, with default folders.
-    pub fn new(format: LogFormat, path: impl Into<PathBuf>) -> Self {
+    pub fn new(format: &'static LogFormat, path: impl Into<PathBuf>) -> Self {
         let path = path.into();
         let (version, scene, sensor_root, map_root, reading) = Default::default();
         Self { format, path, version, scene, sensor_root, map_root, allow_outside: false, reading }
@@ -44,60 +44,62 @@ impl LogLocator {
 /// Formats as parsed, without the separately given folders.
 impl fmt::Display for LogLocator {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{}:{}", self.format.name(), self.path.display())?;
+        write!(f, "{}:{}", self.format.name, self.path.display())?;
         self.version.as_ref().map_or(Ok(()), |version| write!(f, "@{version}"))?;
         self.scene.as_ref().map_or(Ok(()), |scene| write!(f, "#{scene}"))
-    }
-}
-
-/// Log formats.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum LogFormat {
-    /// nuScenes: 13 JSON tables.
-    NuScenes,
-    /// Argoverse 2: folder of a sensor log, or folder of logs.
-    Argoverse,
-    /// nuPlan: SQLite log, or folder of logs.
-    NuPlan,
-    /// Folder of nuPlan logs, restricted to the ten evaluation logs of the paper.
-    NuPlanSimgen,
-    /// A format with this name, of a reader outside this crate.
-    Other(&'static str),
-}
-
-impl LogFormat {
-    /// The formats of this crate's readers.
-    pub const ALL: [Self; 4] = [Self::NuScenes, Self::NuPlan, Self::NuPlanSimgen, Self::Argoverse];
-
-    /// Name in the text form of a locator.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::NuScenes => "nuscenes",
-            Self::NuPlan => "nuplan",
-            Self::NuPlanSimgen => "nuplan-simgen",
-            Self::Argoverse => "av2",
-            Self::Other(name) => name,
-        }
     }
 }
 
 impl FromStr for LogLocator {
     type Err = DatasetError;
 
+    /// Parses `FORMAT:PATH[@VERSION][#SCENE]`, or a path without a format, which is recognized by its files.
     fn from_str(text: &str) -> Result<Self, DatasetError> {
-        let wrong = || DatasetError::Locator {
-            found: text.to_owned(),
-            formats: "nuscenes, nuplan, nuplan-simgen or av2",
+        let wrong = || DatasetError::Locator { found: text.to_owned(), formats: format_names() };
+        let named = text.split_once(':').and_then(|(name, rest)| {
+            let format = formats().into_iter().find(|format| format.name == name)?;
+            Some((format, rest))
+        });
+        let locator = match named {
+            Some((format, rest)) if format.has_path => parse_path(format, rest).ok_or_else(wrong)?,
+            Some((format, rest)) => Self::new(format, rest),
+            None => detect(text)?.ok_or_else(wrong)?,
         };
-        let (format, rest) = text.split_once(':').ok_or_else(wrong)?;
-        let format = LogFormat::ALL.into_iter().find(|known| known.name() == format).ok_or_else(wrong)?;
-        let (rest, scene) = split_tail(rest, '#');
-        let (path, version) = split_tail(rest, '@');
-        if path.is_empty() || version == Some("") || scene == Some("") {
-            return Err(wrong());
+        (locator.format.check)(&locator)?;
+        Ok(locator)
+    }
+}
+
+/// Parses `PATH[@VERSION][#SCENE]`.
+fn parse_path(format: &'static LogFormat, text: &str) -> Option<LogLocator> {
+    let (rest, scene) = split_tail(text, '#');
+    let (path, version) = split_tail(rest, '@');
+    if path.is_empty() || version == Some("") || scene == Some("") {
+        return None;
+    }
+    let (version, scene) = (version.map(Into::into), scene.map(Into::into));
+    Some(LogLocator { version, scene, ..LogLocator::new(format, path) })
+}
+
+/// Recognizes the format of `PATH[@VERSION][#SCENE]` by the files there; `None` if there are no files of a format.
+///
+/// # Errors
+/// Fails if there are files of several formats.
+fn detect(text: &str) -> Result<Option<LogLocator>, DatasetError> {
+    let without_scene = split_tail(text, '#').0;
+    // Paths may have the marks too.
+    let paths = [text, without_scene, split_tail(without_scene, '@').0];
+    let Some(path) = paths.into_iter().find(|path| Path::new(path).exists()) else { return Ok(None) };
+    let mut found = formats();
+    found.retain(|format| format.has_path && (format.detect)(Path::new(path)));
+    match found.as_slice() {
+        [] => Ok(None),
+        [format] if path == text => Ok(Some(LogLocator::new(format, path))),
+        [format] => Ok(parse_path(format, text)),
+        several => {
+            let names: Vec<&str> = several.iter().map(|format| format.name).collect();
+            Err(DatasetError::SeveralFormats { names: names.join(", "), path: path.into() })
         }
-        let (version, scene) = (version.map(Into::into), scene.map(Into::into));
-        Ok(Self { version, scene, ..Self::new(format, path) })
     }
 }
 
@@ -122,14 +124,13 @@ mod tests {
         assert_eq!(locator.scene.as_deref(), Some("scene-0061"));
         let bare: LogLocator = "nuscenes:data".parse().unwrap();
         assert_eq!((bare.version, bare.scene), (None, None));
-        assert_eq!(LogLocator::new(LogFormat::Other("made"), "seed=7").to_string(), "made:seed=7");
     }
 
     #[test]
     fn other_forms_are_refused() {
         for text in ["", "nuscenes", "nuscenes:", "kitti:/data", "nuscenes:/data@", "nuscenes:/data#"] {
             let message = text.parse::<LogLocator>().unwrap_err().to_string();
-            assert!(LogFormat::ALL.iter().all(|format| message.contains(format.name())), "{message}");
+            assert!(formats().iter().all(|format| message.contains(format.name)), "{message}");
         }
     }
 }

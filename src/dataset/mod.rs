@@ -19,6 +19,7 @@ mod degenerate;
 mod ego_jumps;
 mod ego_track;
 mod fingerprint;
+mod format;
 mod gaps;
 #[cfg(any(feature = "nuscenes", feature = "av2"))]
 mod lenient;
@@ -45,8 +46,9 @@ pub(crate) use category::CategoryKind;
 pub use category::{Class, layout_rgb};
 pub use ego_track::EgoTrack;
 pub(crate) use fingerprint::is_fingerprint;
+pub use format::{LogFormat, OpenReader, formats, register};
 pub use gaps::{Gap, GapPlace, MissingData};
-pub use locator::{LogFormat, LogLocator};
+pub use locator::LogLocator;
 pub use map::{Area, Lane, VectorMap};
 pub use moved_ego::MovedEgo;
 pub use open::{LogOpener, expand, open};
@@ -185,18 +187,25 @@ pub enum DatasetError {
     #[error(transparent)]
     File(#[from] FileError),
     /// Invalid locator of a log.
-    #[error("expected a log named FORMAT:PATH[@VERSION][#SCENE] with FORMAT {formats}, found {found:?}")]
+    #[error(
+        "expected a log named FORMAT:PATH[@VERSION][#SCENE] with FORMAT {formats}, or the path of one, found {found:?}"
+    )]
     Locator {
         /// Given text.
         found: String,
-        /// Supported formats.
-        formats: &'static str,
+        /// Formats of this program.
+        formats: String,
     },
-    /// This build has no reader of the format.
-    #[error("expected a recorded log of a format that this build reads, found {found}")]
-    Unsupported {
-        /// Name of the format.
-        found: &'static str,
+    /// A path without a format, with files of several ones.
+    #[error(
+        "expected files of one format, or its name before the path, found those of {names}: {}",
+        printable_path(path)
+    )]
+    SeveralFormats {
+        /// Names of the formats.
+        names: String,
+        /// The path.
+        path: PathBuf,
     },
     /// No scene selected among several, or an unknown one.
     #[error("expected #SCENE to name one of {}, found {}: {}", printable(&scenes.join(", ")), printable(found.as_deref().unwrap_or("none")), printable_path(path))]

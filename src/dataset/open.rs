@@ -1,9 +1,9 @@
 #[cfg(feature = "nuscenes")]
 use std::sync::{Arc, Mutex, PoisonError};
 
-use super::{DatasetError, LogFormat, LogLocator, LogOutline, LogReader};
+use super::{DatasetError, LogLocator, LogOutline, LogReader};
 
-/// Opens recorded logs. Tables that hold many logs (nuScenes) are read once for consecutive logs of one data set.
+/// Opens logs. Tables that hold many logs (nuScenes) are read once for consecutive logs of one data set.
 #[derive(Debug, Default)]
 pub struct LogOpener {
     #[cfg(feature = "nuscenes")]
@@ -16,42 +16,28 @@ impl LogOpener {
         Self::default()
     }
 
-    /// Opens the recorded log that a locator names.
+    /// Opens the log that a locator names.
     ///
     /// # Errors
-    /// Fails if this build has no reader of the format. Returns any error of the reader.
+    /// Returns any error of the format's reader.
     pub fn open(&self, locator: &LogLocator) -> Result<Box<dyn LogReader>, DatasetError> {
-        match locator.format {
-            #[cfg(feature = "nuscenes")]
-            LogFormat::NuScenes => {
-                Ok(Box::new(super::nuscenes::NuScenes::of(&*self.version(locator)?, locator)?))
-            }
-            #[cfg(feature = "av2")]
-            LogFormat::Argoverse => Ok(Box::new(super::av2::Argoverse::open(locator)?)),
-            #[cfg(feature = "nuplan")]
-            LogFormat::NuPlan | LogFormat::NuPlanSimgen => {
-                Ok(Box::new(super::nuplan::NuPlan::open(locator)?))
-            }
-            other => Err(unsupported(other)),
-        }
+        (locator.format.open)(locator, self)
     }
 
-    /// Returns name and length of a recorded log. Those of nuScenes are in two small tables; logs of other formats are
-    /// opened.
+    /// Returns name and length of a log. Those of nuScenes are in two small tables; logs of other formats are opened.
     ///
     /// # Errors
     /// Fails as [`LogOpener::open`].
     pub fn outline(&self, locator: &LogLocator) -> Result<LogOutline, DatasetError> {
-        #[cfg(feature = "nuscenes")]
-        if locator.format == LogFormat::NuScenes {
-            return self.version(locator)?.outline(locator);
-        }
-        Ok(LogOutline::of(self.open(locator)?.recording()))
+        (locator.format.outline)(locator, self)
     }
 
-    /// Returns the tables of a locator.
+    /// Returns the nuScenes tables of a locator.
     #[cfg(feature = "nuscenes")]
-    fn version(&self, locator: &LogLocator) -> Result<Arc<super::nuscenes::Version>, DatasetError> {
+    pub(super) fn version(
+        &self,
+        locator: &LogLocator,
+    ) -> Result<Arc<super::nuscenes::Version>, DatasetError> {
         let mut version = self.version.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(known) = version.as_ref().filter(|known| known.is_of(locator)) {
             return Ok(known.clone());
@@ -60,7 +46,7 @@ impl LogOpener {
     }
 }
 
-/// Opens the recorded log that a locator names.
+/// Opens the log that a locator names.
 ///
 /// # Errors
 /// Fails as [`LogOpener::open`].
@@ -68,22 +54,10 @@ pub fn open(locator: &LogLocator) -> Result<Box<dyn LogReader>, DatasetError> {
     LogOpener::new().open(locator)
 }
 
-/// Returns the recorded logs that a locator refers to, in order: the locator itself unless it names a set of logs.
+/// Returns the logs that a locator refers to, in order: the locator itself unless it names a set of logs.
 ///
 /// # Errors
 /// Fails as [`open`], and if the set is empty or its index cannot be read.
 pub fn expand(locator: &LogLocator) -> Result<Vec<LogLocator>, DatasetError> {
-    match locator.format {
-        #[cfg(feature = "nuscenes")]
-        LogFormat::NuScenes => super::nuscenes::expand(locator),
-        #[cfg(feature = "av2")]
-        LogFormat::Argoverse => super::av2::expand(locator),
-        #[cfg(feature = "nuplan")]
-        LogFormat::NuPlan | LogFormat::NuPlanSimgen => super::nuplan::expand(locator),
-        other => Err(unsupported(other)),
-    }
-}
-
-fn unsupported(format: LogFormat) -> DatasetError {
-    DatasetError::Unsupported { found: format.name() }
+    (locator.format.expand)(locator)
 }

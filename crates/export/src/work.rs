@@ -128,11 +128,10 @@ fn file_name(name: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use point_skeleton::dataset::LogFormat;
 
     fn list(lengths: &[(&str, usize)]) -> WorkList {
         let log = |&(name, frames): &(&str, usize)| {
-            let locator = LogLocator::new(LogFormat::NuScenes, name);
+            let locator = LogLocator::new(&point_skeleton::dataset::nuscenes::FORMAT, name);
             (locator, LogOutline { name: name.to_owned(), frames })
         };
         WorkList::new(lengths.iter().map(log), 4, None).unwrap()
@@ -177,7 +176,10 @@ mod tests {
     #[test]
     fn names_that_collide_are_refused() {
         let log = |name: &str| {
-            (LogLocator::new(LogFormat::NuScenes, "p"), LogOutline { name: name.to_owned(), frames: 1 })
+            (
+                LogLocator::new(&point_skeleton::dataset::nuscenes::FORMAT, "p"),
+                LogOutline { name: name.to_owned(), frames: 1 },
+            )
         };
         let error = WorkList::new([log("a.b"), log("A_b")], 4, None).unwrap_err().to_string();
         assert!(error.ends_with("found A_b twice"), "{error}");

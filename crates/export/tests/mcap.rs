@@ -116,9 +116,20 @@ impl LogReader for Made {
     }
 }
 
+static FORMAT: LogFormat = LogFormat {
+    name: "made",
+    has_path: false,
+    rates_hz: [10.0, 5.0],
+    detect: |_| false,
+    check: LogFormat::unchecked,
+    expand: |locator| Ok(vec![locator.clone()]),
+    outline: LogFormat::outline_by_opening,
+    open: |_, _| Ok(Box::new(Made::new())),
+};
+
 /// Exports the log, two frames per shard.
 fn run(folder: &Path, name: &str, layout: Layout, maps: MapSet) {
-    let locator = LogLocator::new(LogFormat::Other("made"), NOWHERE);
+    let locator = LogLocator::new(&FORMAT, NOWHERE);
     let outline = LogOutline { name: Made::new().0.name, frames: FRAMES };
     let list = WorkList::new([(locator, outline)], 2, None).unwrap();
     let out_size = Some(ImageSize { height: 20, width: 30 });

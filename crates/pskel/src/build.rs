@@ -6,7 +6,7 @@ use std::time::Instant;
 use clap::Args;
 use point_skeleton::Log;
 use point_skeleton::cloud::Point;
-use point_skeleton::dataset::LogLocator;
+use point_skeleton::dataset::{LogLocator, expand};
 use point_skeleton::files::Inputs;
 use point_skeleton::files::text::printable;
 use point_skeleton::skeleton::{
@@ -142,7 +142,7 @@ impl BuildArgs {
     fn open(&self) -> anyhow::Result<Vec<Log>> {
         let mut opened = Vec::new();
         for log in &self.logs {
-            for log in logs::expand(&self.roots.locate(log))? {
+            for log in expand(&self.roots.locate(log))? {
                 let log = logs::open(&log)?;
                 log_args::warn_of_gaps(log.recording());
                 opened.push(log);

@@ -6,7 +6,7 @@ use std::time::Instant;
 use clap::{Args, Parser};
 use point_skeleton::conditions::meta::PromptParts;
 use point_skeleton::conditions::{Captions, MapFormat};
-use point_skeleton::dataset::{LogLocator, LogOpener};
+use point_skeleton::dataset::{LogLocator, LogOpener, expand};
 use point_skeleton::error::with_causes;
 use point_skeleton::files::FileName;
 use pskel_export::{
@@ -151,11 +151,11 @@ impl ExportCommand {
         let args = &self.args;
         let mut locators = Vec::new();
         for log in &args.logs {
-            locators.extend(logs::expand(&args.roots.locate(log))?);
+            locators.extend(expand(&args.roots.locate(log))?);
         }
         let (mut known, mut failures) = (Vec::new(), Vec::new());
         for locator in locators {
-            match logs::outline(&locator, &self.opener) {
+            match self.opener.outline(&locator) {
                 Ok(outline) => known.push((locator, outline)),
                 Err(error) => {
                     failures.push(Failure { name: locator.to_string(), error: with_causes(&error) });

@@ -12,6 +12,7 @@ use point_skeleton::files::{Inputs, OutputFile};
 use point_skeleton::raster::SplatSchedule;
 use point_skeleton::{RenderOptions, Renderer};
 use pskel_eval::{FidelityFiles, POSES, fidelity};
+use pskel_town::Town;
 
 use super::log_args;
 use super::numbers::FrameRange;
@@ -19,7 +20,6 @@ use super::progress::Progress;
 use super::rasterizer::RasterizerArgs;
 use super::substitutes::SubstituteArgs;
 use super::{WrongUsage, outputs, say, skeletons};
-use crate::logs;
 
 /// Measure the fidelity of condition maps: those of the synthetic town against its ground truth
 ///
@@ -65,7 +65,7 @@ pub(super) struct FidelityArgs {
 /// Runs the command: renders, compares, prints the table.
 pub(super) fn run(args: &FidelityArgs) -> anyhow::Result<()> {
     let start = Instant::now();
-    if args.log.format != pskel_town::FORMAT {
+    if *args.log.format != pskel_town::FORMAT {
         let message = format!("expected a log town:.., of which the truth is known, found {}", args.log);
         return Err(WrongUsage(message).into());
     }
@@ -76,7 +76,7 @@ pub(super) fn run(args: &FidelityArgs) -> anyhow::Result<()> {
         ("--markdown", args.markdown.as_deref(), FidelityFiles::MARKDOWN),
     ];
     let [json, csv, markdown] = outputs::open(files, &inputs, None)?;
-    let town = logs::open_town(&args.log)?;
+    let town = Town::open(&args.log)?;
     let log = town.recording();
     let skeleton = skeletons::open_for(&args.skeleton, log)?;
     let frames = FrameRange::of(args.frames, log.frames.len())?;

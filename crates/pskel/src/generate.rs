@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use clap::Args;
-use point_skeleton::dataset::{LogFormat, LogLocator};
+use point_skeleton::dataset::{LogLocator, nuscenes};
 use point_skeleton::scene::EgoOffset;
 use pskel_eval::protocol::ClipClock;
 use pskel_generate::{CopiedLog, DatasetCopy};
@@ -83,7 +83,7 @@ pub(super) struct GenerateArgs {
 
 /// Runs the command: generates the rollout, then writes the copy of the data set.
 pub(super) fn run(args: GenerateArgs) -> anyhow::Result<()> {
-    if args.dataset.is_some() && args.log.format != LogFormat::NuScenes {
+    if args.dataset.is_some() && *args.log.format != nuscenes::FORMAT {
         let message = format!("expected a log nuscenes:.. with --dataset, found {}", args.log);
         return Err(WrongUsage(message).into());
     }

@@ -12,7 +12,7 @@ use clap::{Args, ValueEnum};
 use point_skeleton::Log;
 use point_skeleton::conditions::meta::PromptParts;
 use point_skeleton::conditions::{Captions, ConditionOptions, MapFormat};
-use point_skeleton::dataset::{LogFormat, LogLocator, LogOpener};
+use point_skeleton::dataset::{LogLocator, LogOpener, expand, nuscenes};
 use point_skeleton::error::{FileError, with_causes};
 use point_skeleton::files::input::is_there;
 use point_skeleton::files::{Inputs, OutputFolder, write_json, write_whole};
@@ -212,7 +212,7 @@ impl ProtocolArgs {
     fn logs(&self, opener: &LogOpener) -> anyhow::Result<Vec<LogLocator>> {
         let mut found = Vec::new();
         for log in &self.logs {
-            found.extend(logs::expand(&self.roots.locate(log))?);
+            found.extend(expand(&self.roots.locate(log))?);
         }
         log_args::check_once(&found)?;
         let mut missing = self.protocol.logs();
@@ -221,7 +221,7 @@ impl ProtocolArgs {
         }
         let mut ours = Vec::new();
         for locator in found {
-            let name = logs::outline(&locator, opener)?.name;
+            let name = opener.outline(&locator)?.name;
             if let Some(place) = missing.iter().position(|other| *other == name) {
                 missing.remove(place);
                 ours.push(locator);
@@ -376,7 +376,7 @@ impl Run<'_> {
 /// Checks that all logs are of one nuScenes data set, which a part copies.
 fn check_one_dataset(part: &Part, logs: &[LogLocator]) -> Result<(), WrongUsage> {
     let first = logs.first().map(|log| &log.path);
-    let other = logs.iter().find(|log| log.format != LogFormat::NuScenes || Some(&log.path) != first);
+    let other = logs.iter().find(|log| *log.format != nuscenes::FORMAT || Some(&log.path) != first);
     other.map_or(Ok(()), |other| {
         let (name, other) = (part.name, other.to_string());
         Err(WrongUsage(format!(

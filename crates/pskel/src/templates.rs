@@ -7,7 +7,7 @@ use clap::Args;
 use point_skeleton::Log;
 use point_skeleton::cloud::Point;
 use point_skeleton::conditions::template_preview;
-use point_skeleton::dataset::{self, LogLocator};
+use point_skeleton::dataset::{self, LogLocator, expand};
 use point_skeleton::files::Inputs;
 use point_skeleton::skeleton::{
     self, Asset, BuildError, BuildInput, BuildOptions, BuildRun, Instances, LogSource, Skeleton,
@@ -102,7 +102,7 @@ fn read(args: &TemplatesArgs, instances: &mut Instances, scratch: &Path) -> anyh
                 progress.step(&path.display().to_string());
             }
             Target::Log(locator) => {
-                for log in logs::expand(&args.roots.locate(locator))? {
+                for log in expand(&args.roots.locate(locator))? {
                     let log = logs::open(&log)?;
                     let name = log.recording().shown_name();
                     let built = build(&scratch.join("skeleton"), &log);

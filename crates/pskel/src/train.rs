@@ -151,7 +151,7 @@ impl TrainArgs {
     fn check_frames(&self, least: usize) -> anyhow::Result<()> {
         let opener = LogOpener::new();
         for locator in &self.logs {
-            let outline = logs::outline(&self.roots.locate(locator), &opener);
+            let outline = opener.outline(&self.roots.locate(locator));
             let frames = outline.with_context(|| format!("log {locator}"))?.frames;
             let left = frames - self.hold_out.map_or(0, |every| frames / usize::from(every));
             let held = if left < frames { " that are not held out" } else { "" };

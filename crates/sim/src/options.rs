@@ -148,13 +148,9 @@ impl Rates {
     pub const NUSCENES: Self = Self { sim_hz: 12.0, plan_hz: 2.0 };
 
     /// Returns the default rates of a log's format.
-    pub fn of(format: LogFormat) -> Self {
-        match format {
-            LogFormat::NuScenes => Self::NUSCENES,
-            LogFormat::Argoverse | LogFormat::NuPlan | LogFormat::NuPlanSimgen | LogFormat::Other(_) => {
-                Self::default()
-            }
-        }
+    pub fn of(format: &LogFormat) -> Self {
+        let [sim_hz, plan_hz] = format.rates_hz;
+        Self { sim_hz, plan_hz }
     }
 }
 

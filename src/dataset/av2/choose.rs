@@ -72,6 +72,11 @@ fn is_log(path: &Path) -> bool {
     ["annotations.feather", "city_SE3_egovehicle.feather"].iter().any(|file| is_taken(&path.join(file)))
 }
 
+/// Returns whether a folder is a log or contains one.
+pub(super) fn has_logs(path: &Path) -> bool {
+    is_log(path) || logs_in(path).is_ok_and(|logs| !logs.is_empty())
+}
+
 fn logs_in(path: &Path) -> Result<Vec<String>, FileError> {
     let mut names = Vec::new();
     for entry in std::fs::read_dir(path).map_err(FileError::io("read", path))? {

@@ -26,8 +26,8 @@ use std::path::PathBuf;
 
 use super::limits::check_roots;
 use super::{
-    DatasetError, ImageRecord, LogLocator, LogReader, Recording, RingMeaning, Sweep, SweepRecord, VectorMap,
-    read_picture,
+    DatasetError, ImageRecord, LogFormat, LogLocator, LogReader, Recording, RingMeaning, Sweep, SweepRecord,
+    VectorMap, read_picture,
 };
 use crate::error::FileError;
 
@@ -71,6 +71,18 @@ impl Argoverse {
 pub fn expand(locator: &LogLocator) -> Result<Vec<LogLocator>, DatasetError> {
     choose::expand(locator)
 }
+
+/// The format Argoverse 2: folders of logs.
+pub static FORMAT: LogFormat = LogFormat {
+    name: "av2",
+    has_path: true,
+    rates_hz: [10.0, 5.0],
+    detect: choose::has_logs,
+    check: LogFormat::unchecked,
+    expand,
+    outline: LogFormat::outline_by_opening,
+    open: |locator, _| Ok(Box::new(Argoverse::open(locator)?)),
+};
 
 impl LogReader for Argoverse {
     fn recording(&self) -> &Recording {

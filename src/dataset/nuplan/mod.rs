@@ -21,14 +21,14 @@ mod routes;
 mod situation;
 
 pub use super::sweeps::pcd::{check_pcd_file, parse_pcd, read_pcd_file};
-pub use place::SIMGEN;
 
-pub use place::expand;
+pub use place::{expand, expand_set};
 
 use std::path::Path;
 
 use super::{
-    DatasetError, ImageRecord, LogLocator, LogReader, Recording, Sweep, SweepRecord, VectorMap, read_picture,
+    DatasetError, ImageRecord, LogFormat, LogLocator, LogReader, Recording, Sweep, SweepRecord, VectorMap,
+    read_picture,
 };
 use crate::dataset::sweeps::RingDecision;
 use crate::dataset::sweeps::pcd::pcd_rows;
@@ -60,6 +60,18 @@ impl NuPlan {
         Ok(Self { log, place, map_name, rings: RingDecision::new(locator.reading.rings) })
     }
 }
+
+/// The format nuPlan: SQLite files.
+pub static FORMAT: LogFormat = LogFormat {
+    name: "nuplan",
+    has_path: true,
+    rates_hz: [10.0, 5.0],
+    detect: place::has_logs,
+    check: LogFormat::unchecked,
+    expand,
+    outline: LogFormat::outline_by_opening,
+    open: |locator, _| Ok(Box::new(NuPlan::open(locator)?)),
+};
 
 impl LogReader for NuPlan {
     fn recording(&self) -> &Recording {

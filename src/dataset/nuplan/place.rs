@@ -6,23 +6,9 @@
 use std::path::{Path, PathBuf};
 
 use crate::dataset::limits::check_roots;
-use crate::dataset::{DatasetError, LogFormat, LogLocator};
+use crate::dataset::{DatasetError, LogLocator};
 use crate::error::FileError;
 use crate::files::input::{DataRoot, is_taken};
-
-/// The ten evaluation logs of the paper.
-pub const SIMGEN: [&str; 10] = [
-    "2021.05.12.22.28.35_veh-35_00620_01164",
-    "2021.05.12.22.00.38_veh-35_01008_01518",
-    "2021.05.12.23.36.44_veh-35_02035_02387",
-    "2021.05.12.23.36.44_veh-35_01133_01535",
-    "2021.05.12.23.36.44_veh-35_00152_00504",
-    "2021.05.25.14.16.10_veh-35_01690_02183",
-    "2021.06.09.12.39.51_veh-26_01943_02303",
-    "2021.06.09.14.58.55_veh-35_01894_02311",
-    "2021.06.09.17.23.18_veh-38_00773_01140",
-    "2021.06.14.16.32.09_veh-35_05038_05402",
-];
 
 /// File locations of a log.
 #[derive(Clone, Debug, PartialEq)]
@@ -55,25 +41,48 @@ impl LogPaths {
     }
 }
 
-/// Returns the logs that a locator refers to: a file, all logs of a folder sorted by name, or the named set.
+/// Returns the logs that a locator refers to: a file, or all logs of a folder sorted by name.
 ///
 /// # Errors
-/// Fails if a folder has no logs or lacks some of the set, `#LOG` is unknown, or a `@VERSION` is given.
+/// Fails if a folder has no logs, `#LOG` is unknown, or a `@VERSION` is given.
 pub fn expand(locator: &LogLocator) -> Result<Vec<LogLocator>, DatasetError> {
+    check_version(locator)?;
     let path = &locator.path;
-    if let Some(version) = &locator.version {
-        return Err(FileError::content("a log without @VERSION", format!("@{version}"), path).into());
+    match std::fs::metadata(path).map_err(FileError::io("read", path))?.is_dir() {
+        true => chosen(locator, &logs_in(path)?),
+        false => Ok(vec![locator.clone()]),
     }
-    let is_folder = std::fs::metadata(path).map_err(FileError::io("read", path))?.is_dir();
-    if !is_folder {
-        if locator.format == LogFormat::NuPlanSimgen {
-            return Err(FileError::content("the folder of the logs of nuplan-simgen", "a file", path).into());
-        }
-        return Ok(vec![locator.clone()]);
+}
+
+/// Returns the logs of a named set, `set`, in a folder.
+///
+/// # Errors
+/// Fails as [`expand`], or if the folder lacks some of them.
+pub fn expand_set(locator: &LogLocator, set: &str, names: &[&str]) -> Result<Vec<LogLocator>, DatasetError> {
+    check_version(locator)?;
+    let path = &locator.path;
+    if !std::fs::metadata(path).map_err(FileError::io("read", path))?.is_dir() {
+        return Err(FileError::content(format!("the folder of the logs of {set}"), "a file", path).into());
     }
-    let names = if locator.format == LogFormat::NuPlanSimgen { simgen(path)? } else { logs_in(path)? };
+    let missing: Vec<&str> =
+        names.iter().filter(|name| !is_taken(&path.join(format!("{name}.db")))).copied().collect();
+    if !missing.is_empty() {
+        let expected = format!("the {} logs of {set} (.db)", names.len());
+        return Err(FileError::content(expected, format!("none named {}", missing.join(", ")), path).into());
+    }
+    chosen(locator, &names.iter().map(|name| (*name).to_owned()).collect::<Vec<_>>())
+}
+
+fn check_version(locator: &LogLocator) -> Result<(), FileError> {
+    let wrong = |version| FileError::content("a log without @VERSION", format!("@{version}"), &locator.path);
+    locator.version.as_ref().map_or(Ok(()), |version| Err(wrong(version)))
+}
+
+/// Returns the logs of a folder by name: all of them, or `#LOG`.
+fn chosen(locator: &LogLocator, names: &[String]) -> Result<Vec<LogLocator>, DatasetError> {
+    let path = &locator.path;
     let log = |name: &String| LogLocator {
-        format: LogFormat::NuPlan,
+        format: &super::FORMAT,
         path: path.join(format!("{name}.db")),
         scene: None,
         ..locator.clone()
@@ -81,7 +90,15 @@ pub fn expand(locator: &LogLocator) -> Result<Vec<LogLocator>, DatasetError> {
     match &locator.scene {
         None => Ok(names.iter().map(log).collect()),
         Some(name) if names.contains(name) => Ok(vec![log(name)]),
-        Some(name) => Err(choose(&names, name, path)),
+        Some(name) => Err(choose(names, name, path)),
+    }
+}
+
+/// Returns whether a path is a log by its ending, or a folder with one.
+pub(super) fn has_logs(path: &Path) -> bool {
+    match path.is_dir() {
+        true => logs_in(path).is_ok(),
+        false => path.extension().is_some_and(|extension| extension == "db"),
     }
 }
 
@@ -120,15 +137,4 @@ fn logs_in(folder: &Path) -> Result<Vec<String>, FileError> {
         return Err(FileError::content("a folder with nuPlan logs (.db)", "none", folder));
     }
     Ok(names)
-}
-
-/// Returns the names of the set after checking that the folder contains all of them.
-fn simgen(folder: &Path) -> Result<Vec<String>, FileError> {
-    let (there, missing): (Vec<&str>, Vec<&str>) =
-        SIMGEN.iter().partition(|name| is_taken(&folder.join(format!("{name}.db"))));
-    if missing.is_empty() {
-        return Ok(there.into_iter().map(Into::into).collect());
-    }
-    let expected = "the ten logs of nuplan-simgen (.db)";
-    Err(FileError::content(expected, format!("none named {}", missing.join(", ")), folder))
 }

@@ -44,6 +44,12 @@ pub(super) fn version_folder(root: &Path, version: Option<&str>) -> Result<PathB
     Err(FileError::content(expected, found, root).into())
 }
 
+/// Returns whether a folder contains folders of tables.
+pub(super) fn has_tables(root: &Path) -> bool {
+    let folders = folders_in(root, MOST_LOOKED_AT).unwrap_or_default();
+    folders.iter().any(|name| is_taken(&root.join(name).join(MARK)))
+}
+
 /// Returns the names of the folders in a folder, sorted. Looks at up to `most` of its entries.
 fn folders_in(root: &Path, most: usize) -> Result<Vec<String>, FileError> {
     let mut names = Vec::new();

@@ -35,7 +35,8 @@ use std::path::PathBuf;
 use super::limits::check_roots;
 use super::sweeps::RingDecision;
 use super::{
-    DatasetError, ImageRecord, LogLocator, LogReader, Recording, Sweep, SweepRecord, VectorMap, read_picture,
+    DatasetError, ImageRecord, LogFormat, LogLocator, LogReader, Recording, Sweep, SweepRecord, VectorMap,
+    read_picture,
 };
 use crate::files::input::DataRoot;
 
@@ -76,6 +77,18 @@ impl NuScenes {
         Ok(Self { log, box_points, root, map_root, rings: RingDecision::new(locator.reading.rings) })
     }
 }
+
+/// The format nuScenes: JSON tables.
+pub static FORMAT: LogFormat = LogFormat {
+    name: "nuscenes",
+    has_path: true,
+    rates_hz: [12.0, 2.0],
+    detect: choose::has_tables,
+    check: LogFormat::unchecked,
+    expand,
+    outline: |locator, opener| opener.version(locator)?.outline(locator),
+    open: |locator, opener| Ok(Box::new(NuScenes::of(&*opener.version(locator)?, locator)?)),
+};
 
 impl LogReader for NuScenes {
     fn recording(&self) -> &Recording {

@@ -1,7 +1,7 @@
-use point_skeleton::dataset::nuplan::SIMGEN;
 use pskel_sim::{EgoPolicy, Rates};
 
 use super::nuscenes_val::SCENES;
+use super::simgen::SIMGEN;
 
 /// An evaluation protocol of the paper *Point as Skeleton*. Source: the configurations of its reference implementation.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -10,8 +10,10 @@ mod definition;
 mod nuscenes_val;
 mod report;
 mod settings;
+mod simgen;
 
 pub use clips::{Clip, ClipClock, ShortLog};
 pub use definition::{Length, Part, PartRates, Protocol};
 pub use report::{PartRollouts, ProtocolReport};
 pub use settings::check_settings;
+pub use simgen::{SIMGEN, SIMGEN_FORMAT};

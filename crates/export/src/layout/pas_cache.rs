@@ -5,7 +5,7 @@
 
 use point_skeleton::Maps;
 use point_skeleton::conditions::{ConditionOptions, MapKind, MapSet, draw_layouts};
-use point_skeleton::dataset::{ImageRecord, LogFormat};
+use point_skeleton::dataset::{ImageRecord, nuplan};
 use point_skeleton::files::FileName;
 
 use super::{LayoutWriter, Source};
@@ -27,7 +27,7 @@ impl<'a> PasCache<'a> {
         match (kind, self.source.listed.locator.format) {
             (MapKind::Boxes, _) => "3dbox_images",
             (MapKind::Map, _) => "hdmap_images",
-            (MapKind::Depth, LogFormat::NuPlan | LogFormat::NuPlanSimgen) => "proj_depth_g1.0_b256",
+            (MapKind::Depth, format) if *format == nuplan::FORMAT => "proj_depth_g1.0_b256",
             (MapKind::Depth, _) => "proj_depth_g1.0",
             _ => &self.source.options.color_folder,
         }

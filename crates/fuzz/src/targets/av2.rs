@@ -13,7 +13,7 @@ use arrow_ipc::CompressionType;
 use arrow_ipc::writer::{FileWriter, IpcWriteOptions};
 use half::f16;
 use point_skeleton::dataset::av2::{Argoverse, read_map_file};
-use point_skeleton::dataset::{LogFormat, LogLocator, LogReader};
+use point_skeleton::dataset::{LogLocator, LogReader};
 use serde_json::Value;
 
 use super::{LARGE, Scratch, edit_seeds, seed};
@@ -60,7 +60,7 @@ fn log() -> Folder {
 }
 
 fn open(folder: &Folder, data: &[u8]) {
-    match Argoverse::open(&LogLocator::new(LogFormat::Argoverse, folder.path(LOG_ID))) {
+    match Argoverse::open(&LogLocator::new(&point_skeleton::dataset::av2::FORMAT, folder.path(LOG_ID))) {
         Ok(log) => dataset(&log, folder.root(), data),
         Err(error) => told_within(error, folder.root(), data),
     }

@@ -5,7 +5,7 @@ use std::path::Path;
 
 use point_skeleton::Log;
 use point_skeleton::conditions::ConditionOptions;
-use point_skeleton::dataset::{LogFormat, LogLocator, LogOutline};
+use point_skeleton::dataset::{LogLocator, LogOutline};
 use point_skeleton::geometry::ImageSize;
 use point_skeleton::raster::{MapKind, MapSet, RasterizerDesc, RasterizerKind};
 use point_skeleton::scene::{SelectionOptions, SubstituteOptions};
@@ -77,7 +77,7 @@ fn run(root: &Path, list: &WorkList, verify: bool) -> Result<ExportReport, Expor
 
 impl Complete {
     fn new() -> Self {
-        let log = LogLocator::new(LogFormat::NuScenes, "made");
+        let log = LogLocator::new(&point_skeleton::dataset::nuscenes::FORMAT, "made");
         let outline = LogOutline { name: "made".into(), frames: FRAMES };
         let list = WorkList::new([(log, outline)], 1, None).expect("a list");
         let folder = tempfile::tempdir().expect("a temporary folder");

@@ -4,7 +4,7 @@ use std::cell::RefCell;
 use std::path::Path;
 
 use point_skeleton::dataset::nuplan::NuPlan;
-use point_skeleton::dataset::{LogFormat, LogLocator, LogReader};
+use point_skeleton::dataset::{LogLocator, LogReader};
 use rusqlite::types::Value;
 use rusqlite::{Connection, params_from_iter};
 
@@ -64,7 +64,7 @@ fn connect(path: &Path) -> Connection {
 
 impl DataSet {
     fn locator(&self) -> LogLocator {
-        LogLocator::new(LogFormat::NuPlan, self.folder.path(&self.database))
+        LogLocator::new(&point_skeleton::dataset::nuplan::FORMAT, self.folder.path(&self.database))
     }
 
     fn open(&self, data: &[u8]) {

@@ -4,7 +4,7 @@ use std::cell::RefCell;
 
 use point_skeleton::dataset::nuscenes::{LogWriter, MapLayers, NuScenes, expand, read_map_file, write_log};
 use point_skeleton::dataset::{
-    DatasetError, ImageRecord, LogFormat, LogLocator, LogReader, Recording, Sweep, SweepRecord, VectorMap,
+    DatasetError, ImageRecord, LogLocator, LogReader, Recording, Sweep, SweepRecord, VectorMap,
 };
 use serde_json::{Map, Value};
 
@@ -57,7 +57,7 @@ fn data_set() -> (Folder, Value) {
 }
 
 fn open(folder: &Folder, data: &[u8]) {
-    let locator = LogLocator::new(LogFormat::NuScenes, folder.root());
+    let locator = LogLocator::new(&point_skeleton::dataset::nuscenes::FORMAT, folder.root());
     match NuScenes::open(&locator) {
         Ok(set) => dataset(&set, folder.root(), data),
         Err(error) => told_within(error, folder.root(), data),

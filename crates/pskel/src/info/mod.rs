@@ -2,6 +2,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::bail;
 use clap::Args;
+use point_skeleton::dataset::DatasetError;
 use point_skeleton::files::input::is_taken;
 use point_skeleton::skeleton::{Skeleton, TemplateLibrary};
 use serde_json::Value;
@@ -24,7 +25,7 @@ pub(super) use skeleton::dropped;
 /// Missing and damaged files are named, and the exit code is then 1.
 #[derive(Debug, Args)]
 pub(super) struct InfoArgs {
-    /// FORMAT:PATH[@VERSION][#SCENE], a folder of a skeleton or of templates, or a file (.pcd.bin, .pcd, .feather,
+    /// [FORMAT:]PATH[@VERSION][#SCENE], a folder of a skeleton or of templates, or a file (.pcd.bin, .pcd, .feather,
     /// .npy, .ply, .json cameras, JPEG, PNG)
     #[arg(value_name = "LOG|SKELETON|FILE")]
     target: String,
@@ -71,19 +72,23 @@ fn describe(target: &str, roots: &LogRoots) -> anyhow::Result<(Value, String)> {
         let library = TemplateLibrary::open(&path)?;
         return Ok((templates::describe(&library, &path), templates::text(&library, &path)));
     }
+    match logs::locate(target) {
+        Ok(locator) => {
+            let log = logs::open(&roots.locate(&locator))?;
+            let json = log::describe(&log)?;
+            return Ok((json.clone(), log::text(&json)));
+        }
+        // Another file or folder.
+        Err(DatasetError::Locator { .. }) if path.exists() || !target.contains(':') => {}
+        Err(error) => return Err(WrongUsage(error.to_string()).into()),
+    }
     if is_taken(&path) && !path.is_dir() {
         let json = file::describe(&path)?;
         return Ok((json.clone(), as_lines(&json)));
     }
-    if target.contains(':') && !path.exists() {
-        let locator = logs::locate(target).map_err(|error| WrongUsage(error.to_string()))?;
-        let log = logs::open(&roots.locate(&locator))?;
-        let json = log::describe(&log)?;
-        return Ok((json.clone(), log::text(&json)));
-    }
     let found = what_is_there(&path);
     bail!(
-        "expected a log (FORMAT:PATH, like nuscenes:PATH or town:), a skeleton's folder or a file, found {found}: {target}"
+        "expected a log (its path, or FORMAT:PATH, like nuscenes:PATH or town:), a skeleton's folder or a file, found {found}: {target}"
     )
 }
 

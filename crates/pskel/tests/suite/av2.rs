@@ -6,7 +6,7 @@ use std::sync::Arc;
 use arrow_array::Int32Array;
 use glam::{DVec2, DVec3};
 use point_skeleton::dataset::av2::{Argoverse, read_map_file, read_sweep_file};
-use point_skeleton::dataset::{Class, LogFormat, LogLocator, LogReader, Recording};
+use point_skeleton::dataset::{Class, LogLocator, LogReader, Recording, expand};
 use point_skeleton::geometry::{Cuboid, View};
 use point_skeleton::scene::{EgoOffset, state_of_frame};
 use pskel::logs;
@@ -19,7 +19,7 @@ use crate::common::shared;
 use crate::tiny_log::PSKEL;
 
 fn locator(path: impl Into<std::path::PathBuf>) -> LogLocator {
-    LogLocator::new(LogFormat::Argoverse, path)
+    LogLocator::new(&point_skeleton::dataset::av2::FORMAT, path)
 }
 
 #[test]
@@ -90,7 +90,7 @@ fn a_made_up_map_is_read_whole() {
 fn a_folder_of_logs_is_a_set() {
     let made = TinyAv2::new();
     let root = made.root();
-    assert_eq!(logs::expand(&locator(root)).unwrap(), [locator(made.path(""))]);
+    assert_eq!(expand(&locator(root)).unwrap(), [locator(made.path(""))]);
     assert_eq!(Argoverse::open(&locator(root)).unwrap().recording().name, LOG_ID);
     std::fs::create_dir(root.join("ffff")).unwrap();
     std::fs::create_dir(root.join("no log")).unwrap();
@@ -99,9 +99,9 @@ fn a_folder_of_logs_is_a_set() {
     }
     let all = [locator(root.join(LOG_ID)), locator(root.join("ffff"))];
     let named = |scene: &str| LogLocator { scene: Some(scene.into()), ..locator(root) };
-    assert_eq!(logs::expand(&locator(root)).unwrap(), all);
-    assert_eq!(logs::expand(&named("*")).unwrap(), all);
-    assert_eq!(logs::expand(&named("ffff")).unwrap(), all[1..]);
+    assert_eq!(expand(&locator(root)).unwrap(), all);
+    assert_eq!(expand(&named("*")).unwrap(), all);
+    assert_eq!(expand(&named("ffff")).unwrap(), all[1..]);
     assert_eq!(logs::open(&named(LOG_ID)).unwrap().recording().name, LOG_ID);
     let told = |locator: &LogLocator| Argoverse::open(locator).unwrap_err().to_string();
     let several = told(&locator(root));

@@ -17,7 +17,7 @@ use arrow_ipc::writer::{FileWriter, IpcWriteOptions};
 use glam::{DQuat, DVec3};
 use half::f16;
 use point_skeleton::dataset::av2::Argoverse;
-use point_skeleton::dataset::{DatasetError, LogFormat, LogLocator};
+use point_skeleton::dataset::{DatasetError, LogLocator};
 use serde_json::{Value, json};
 
 use crate::tiny_log::camera_rotation;
@@ -88,7 +88,7 @@ impl TinyAv2 {
     }
 
     pub(crate) fn open(&self) -> Result<Argoverse, DatasetError> {
-        Argoverse::open(&LogLocator::new(LogFormat::Argoverse, self.path("")))
+        Argoverse::open(&LogLocator::new(&point_skeleton::dataset::av2::FORMAT, self.path("")))
     }
 
     /// Edits the columns of a table.

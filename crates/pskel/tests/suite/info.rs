@@ -2,6 +2,7 @@
 
 use serde_json::{Value, json};
 
+use crate::av2_log::TinyAv2;
 use crate::nuplan_made::{Made, RING, image_file};
 use crate::tiny_log::{CAMERAS, FRAMES, TinyLog, assert_failed, picture, sweep};
 
@@ -87,6 +88,35 @@ fn a_skeleton_and_files_are_told() {
     assert_eq!((&cloud["kind"], &cloud["points"]), (&json!("points"), &json!(background)));
 }
 
+/// Paths without a format, with and without the version and scene.
+#[test]
+fn logs_are_recognized_by_their_files() {
+    let (log, nuplan, argoverse) = (TinyLog::new(), Made::new(), TinyAv2::new());
+    for name in ["log", "log@v1.0-mini"] {
+        assert_eq!(info(&log, name), info(&log, "nuscenes:log"), "{name}");
+    }
+    let database = nuplan.database();
+    for path in [&*database, database.parent().unwrap()] {
+        let path = path.display();
+        assert_eq!(info(&log, &path.to_string()), info(&log, &format!("nuplan:{path}")));
+    }
+    for path in [argoverse.path(""), argoverse.root().to_owned()] {
+        let path = path.display();
+        assert_eq!(info(&log, &path.to_string()), info(&log, &format!("av2:{path}")));
+    }
+    // Every command reads logs by such names.
+    log.succeed("build log --out out/sk");
+    let message = ["expected #SCENE to name one of", "gone"];
+    assert_failed(&log.run("build log#gone --out out/other"), 1, &message);
+    std::fs::copy(&database, log.path("log/a.db")).unwrap();
+    let several =
+        "expected files of one format, or its name before the path, found those of nuscenes, nuplan: log";
+    assert_failed(&log.run("info log"), 2, &[several]);
+    assert_failed(&log.run("build log --out out/other"), 2, &[several]);
+    let none = "or the path of one, found \"out\"";
+    assert_failed(&log.run("build out --out out/other"), 2, &[none]);
+}
+
 #[test]
 fn anything_else_is_an_error() {
     let log = TinyLog::new();
@@ -97,7 +127,7 @@ fn anything_else_is_an_error() {
     assert_failed(
         &log.run("info kitti:log"),
         2,
-        &["FORMAT nuscenes, nuplan, nuplan-simgen, av2 or town", "kitti:log"],
+        &["FORMAT nuscenes, nuplan, av2, nuplan-simgen or town", "kitti:log"],
     );
     assert_failed(&log.run("info nuscenes:gone"), 1, &["gone"]);
     assert_failed(&log.run("info"), 2, &["Usage"]);

@@ -5,8 +5,8 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::LazyLock;
 
+use point_skeleton::dataset::LogLocator;
 use point_skeleton::dataset::nuscenes::{LogWriter, NuScenes};
-use point_skeleton::dataset::{LogFormat, LogLocator};
 use pskel_town::{Town, TownOptions};
 
 use crate::tiny_log::tree;
@@ -62,6 +62,7 @@ pub(crate) fn copy_to(folder: &Path, wanted: impl Fn(&str) -> bool) {
 pub(crate) fn read() -> (tempfile::TempDir, NuScenes) {
     let folder = tempfile::tempdir().unwrap();
     copy_to(folder.path(), |_| true);
-    let log = NuScenes::open(&LogLocator::new(LogFormat::NuScenes, folder.path())).unwrap();
+    let log =
+        NuScenes::open(&LogLocator::new(&point_skeleton::dataset::nuscenes::FORMAT, folder.path())).unwrap();
     (folder, log)
 }

@@ -1,10 +1,10 @@
 //! The nuPlan reader on a synthetic log.
 
 use glam::{DVec2, DVec3};
-use point_skeleton::dataset::nuplan::SIMGEN;
-use point_skeleton::dataset::{self, Class, LogFormat, LogLocator, LogReader};
+use point_skeleton::dataset::{self, Class, LogLocator, LogReader, expand};
 use point_skeleton::geometry::{Distortion, View};
 use pskel::logs;
+use pskel_eval::protocol::SIMGEN;
 
 use crate::nuplan_made::{
     CAMERA_Z, CORNERS, DELAY_US, DISTORTION, FIRST_US, FRAMES, LIDAR_Z, LOG, MAP, Made, RING, STEP_US,
@@ -206,9 +206,9 @@ fn images_that_no_frame_is_near_lie_between_frames() {
 fn folders_and_sets_name_several_logs() {
     let made = Made::new();
     let folder = made.path("nuplan-v1.1/splits/mini");
-    let name = |text: &str| format!("{text}{}", folder.display()).parse::<LogLocator>().unwrap();
+    let name = |text: &str| logs::locate(&format!("{text}{}", folder.display())).unwrap();
     let expanded = |locator: &LogLocator| {
-        let logs = logs::expand(locator).map(|logs| logs.into_iter().map(|l| l.path).collect::<Vec<_>>());
+        let logs = expand(locator).map(|logs| logs.into_iter().map(|l| l.path).collect::<Vec<_>>());
         logs.map_err(|e| e.to_string())
     };
     assert_eq!(logs::open(&name("nuplan:")).unwrap().recording().name, LOG);
@@ -238,9 +238,9 @@ fn folders_and_sets_name_several_logs() {
     );
     let one = LogLocator { scene: Some(SIMGEN[3].into()), ..name("nuplan-simgen:") };
     assert_eq!(logs::open(&one).unwrap().recording().frames.len(), FRAMES);
-    let file = LogLocator { format: LogFormat::NuPlanSimgen, ..made.locator() };
+    let file = LogLocator { format: &pskel_eval::protocol::SIMGEN_FORMAT, ..made.locator() };
     assert!(expanded(&file).unwrap_err().contains("found a file"));
-    let empty = LogLocator::new(LogFormat::NuPlan, made.path("maps"));
+    let empty = LogLocator::new(&point_skeleton::dataset::nuplan::FORMAT, made.path("maps"));
     assert_says(&expanded(&empty).unwrap_err(), &["nuPlan logs (.db)", "found none"], "maps");
 }
 

@@ -2,7 +2,7 @@
 //! expected and the found value, and the file.
 
 use point_skeleton::dataset::nuplan::NuPlan;
-use point_skeleton::dataset::{LogFormat, LogLocator, LogReader, MissingData};
+use point_skeleton::dataset::{LogLocator, LogReader, MissingData};
 use proptest::prelude::*;
 
 use crate::common::shared;
@@ -448,7 +448,7 @@ fn the_generated_minimal_log_is_refused_for_its_numbers() {
     let copy = tempfile::tempdir().unwrap();
     let path = copy.path().join(format!("{LOG}.db"));
     std::fs::write(&path, std::fs::read(shared.join("data/nuplan-minimal/minimal.db")).unwrap()).unwrap();
-    let locator = LogLocator::new(LogFormat::NuPlan, &path);
+    let locator = LogLocator::new(&point_skeleton::dataset::nuplan::FORMAT, &path);
     let message = || NuPlan::open(&locator).unwrap_err().to_string();
     assert_says(&message(), &["unit quaternion", "length 0 in lidar 00700000"], ".db");
     let level = pickled(&[1.0, 0.0, 0.0, 0.0]);

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use glam::DVec3;
 use point_skeleton::dataset::nuplan::NuPlan;
-use point_skeleton::dataset::{DatasetError, LogFormat, LogLocator, LogReader, VectorMap};
+use point_skeleton::dataset::{DatasetError, LogLocator, LogReader, VectorMap};
 use rusqlite::Connection;
 
 use crate::tiny_log::camera_rotation;
@@ -81,7 +81,7 @@ impl Made {
     }
 
     pub(crate) fn locator(&self) -> LogLocator {
-        LogLocator::new(LogFormat::NuPlan, self.database())
+        LogLocator::new(&point_skeleton::dataset::nuplan::FORMAT, self.database())
     }
 
     pub(crate) fn open(&self) -> Result<NuPlan, DatasetError> {

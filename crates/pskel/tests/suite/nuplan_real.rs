@@ -6,7 +6,7 @@ use glam::{DVec2, DVec3};
 use point_skeleton::cloud::Point;
 use point_skeleton::dataset::nuplan::NuPlan;
 use point_skeleton::dataset::nuscenes::NuScenes;
-use point_skeleton::dataset::{ImageRecord, LogFormat, LogLocator, LogReader, VectorMap};
+use point_skeleton::dataset::{ImageRecord, LogLocator, LogReader, VectorMap};
 use point_skeleton::geometry::View;
 use point_skeleton::skeleton::{BuildOptions, Chunk, Part, Skeleton, Splitter, Trajectories};
 use rstar::{PointDistance, RTree};
@@ -35,11 +35,12 @@ fn folder() -> Option<PathBuf> {
 
 fn open_nuplan(folder: &Path) -> NuPlan {
     let path = folder.join(format!("nuplan/nuplan-v1.1/splits/mini/{NAME}.db"));
-    NuPlan::open(&LogLocator::new(LogFormat::NuPlan, path)).unwrap()
+    NuPlan::open(&LogLocator::new(&point_skeleton::dataset::nuplan::FORMAT, path)).unwrap()
 }
 
 fn open_nuscenes(folder: &Path) -> NuScenes {
-    NuScenes::open(&LogLocator::new(LogFormat::NuScenes, folder.join("nuscenes"))).unwrap()
+    NuScenes::open(&LogLocator::new(&point_skeleton::dataset::nuscenes::FORMAT, folder.join("nuscenes")))
+        .unwrap()
 }
 
 #[test]

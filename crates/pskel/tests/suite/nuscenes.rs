@@ -4,14 +4,14 @@ use std::path::Path;
 
 use glam::DVec3;
 use point_skeleton::dataset::nuscenes::{NuScenes, read_sweep_file};
-use point_skeleton::dataset::{LogFormat, LogLocator, LogReader, Recording, Sweep, TrackBox};
+use point_skeleton::dataset::{LogLocator, LogReader, Recording, Sweep, TrackBox};
 use point_skeleton::geometry::{Cuboid, Pose};
 
 use crate::common::shared;
 
 fn open(path: &Path) -> NuScenes {
     let path = path.to_owned();
-    NuScenes::open(&LogLocator::new(LogFormat::NuScenes, path)).unwrap()
+    NuScenes::open(&LogLocator::new(&point_skeleton::dataset::nuscenes::FORMAT, path)).unwrap()
 }
 
 /// Returns the number of a sweep's points in a box.

@@ -4,9 +4,8 @@
 use std::path::PathBuf;
 
 use point_skeleton::dataset::nuscenes::NuScenes;
-use point_skeleton::dataset::{DatasetError, LogLocator, LogReader, MissingData};
+use point_skeleton::dataset::{DatasetError, LogLocator, LogReader, MissingData, expand};
 use proptest::prelude::*;
-use pskel::logs;
 use serde_json::{Value, json};
 
 use crate::made_town::{FRAMES, VERSION, copy_to};
@@ -236,7 +235,7 @@ fn scenes_and_versions_must_be_chosen() {
     let expand = |tail: &str| {
         let name: LogLocator = format!("nuscenes:{}{tail}", broken.0.path().display()).parse().unwrap();
         let scenes = |logs: Vec<LogLocator>| logs.into_iter().filter_map(|log| log.scene).collect::<Vec<_>>();
-        logs::expand(&name).map(scenes)
+        expand(&name).map(scenes)
     };
     assert_eq!(expand("#*").unwrap(), ["town-3", "town-6"]);
     assert_eq!(expand("#town").unwrap(), ["town-3", "town-6"]);

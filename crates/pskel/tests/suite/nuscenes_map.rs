@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use glam::DVec2;
 use point_skeleton::dataset::nuscenes::{NuScenes, read_map_file};
-use point_skeleton::dataset::{Area, LogFormat, LogLocator, LogReader, VectorMap};
+use point_skeleton::dataset::{Area, LogLocator, LogReader, VectorMap};
 use proptest::prelude::*;
 use serde_json::{Value, json};
 
@@ -269,7 +269,11 @@ proptest! {
 }
 
 fn log_with(map_root: Option<PathBuf>, root: &Path) -> NuScenes {
-    NuScenes::open(&LogLocator { map_root, ..LogLocator::new(LogFormat::NuScenes, root) }).unwrap()
+    NuScenes::open(&LogLocator {
+        map_root,
+        ..LogLocator::new(&point_skeleton::dataset::nuscenes::FORMAT, root)
+    })
+    .unwrap()
 }
 
 /// The file is named after the log's location. `--map-root` takes precedence; without a file there is no map.
@@ -291,7 +295,7 @@ fn the_map_of_the_logs_place_is_found() {
     assert!(message.contains("expected map town.json or") && message.ends_with("elsewhere"), "{message}");
     let (gone, file) = (root.join("gone"), root.join("v1.0-mini/log.json"));
     for (place, found) in [(&gone, "cannot read"), (&file, "expected a folder, found a file")] {
-        let usual = LogLocator::new(LogFormat::NuScenes, root);
+        let usual = LogLocator::new(&point_skeleton::dataset::nuscenes::FORMAT, root);
         let maps = LogLocator { map_root: Some(place.clone()), ..usual.clone() };
         let sensors = LogLocator { sensor_root: Some(place.clone()), ..usual };
         for locator in [maps, sensors] {

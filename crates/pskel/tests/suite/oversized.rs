@@ -6,7 +6,7 @@ use std::sync::Arc;
 use arrow_array::Float64Array;
 use arrow_ipc::CompressionType;
 use point_skeleton::dataset::nuscenes::{NuScenes, read_map_file};
-use point_skeleton::dataset::{LogFormat, LogLocator, LogReader};
+use point_skeleton::dataset::{LogLocator, LogReader};
 use serde_json::json;
 
 use crate::av2_log::{TinyAv2, sweep, write};
@@ -80,7 +80,9 @@ fn times_of_other_millennia_are_refused() {
         for t_us in [i64::MAX, i64::MIN] {
             let log = TinyLog::new();
             log.change(table, pointer, t_us.into());
-            let message = NuScenes::open(&LogLocator::new(LogFormat::NuScenes, log.path("log"))).unwrap_err();
+            let message =
+                NuScenes::open(&LogLocator::new(&point_skeleton::dataset::nuscenes::FORMAT, log.path("log")))
+                    .unwrap_err();
             assert!(message.to_string().contains("a thousand years from 1970"), "{message}");
         }
     }

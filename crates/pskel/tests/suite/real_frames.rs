@@ -1,7 +1,7 @@
 //! Frames of a real log: the rasterizers of a device compared with the CPU rasterizer.
 
 use point_skeleton::dataset::nuscenes::NuScenes;
-use point_skeleton::dataset::{LogFormat, LogLocator, LogReader};
+use point_skeleton::dataset::{LogLocator, LogReader};
 use point_skeleton::geometry::{ImageSize, View};
 use point_skeleton::raster::reference::ReferenceRasterizer;
 use point_skeleton::raster::{
@@ -33,7 +33,7 @@ fn differing(a: &FrameMaps<'_>, b: &FrameMaps<'_>) -> [usize; 2] {
 fn all_rasterizers_draw_a_real_frame_alike() {
     let Some(folder) = shared("the PandaSet drive") else { return };
     let path = folder.join("data/pandaset-002/nuscenes");
-    let locator = LogLocator::new(LogFormat::NuScenes, path);
+    let locator = LogLocator::new(&point_skeleton::dataset::nuscenes::FORMAT, path);
     let drive = NuScenes::open(&locator).unwrap();
     let scratch = tempfile::tempdir().unwrap();
     let skeleton = skeleton_of(&scratch.path().join("s"), &drive, &[3, 4, 5], &BuildOptions::default());

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use glam::DVec3;
 use point_skeleton::cloud::Point;
 use point_skeleton::dataset::nuscenes::NuScenes;
-use point_skeleton::dataset::{Class, Frame, LogFormat, LogLocator, LogReader};
+use point_skeleton::dataset::{Class, Frame, LogLocator, LogReader};
 use point_skeleton::skeleton::{BuildOptions, Skeleton};
 use rstar::{PointDistance, RTree};
 use tempfile::TempDir;
@@ -17,7 +17,7 @@ const FRAMES: [usize; 6] = [0, 2, 4, 6, 8, 10];
 /// Returns the log, and a skeleton of each frame's sweep with all its points, in a folder.
 fn single_sweeps() -> Option<(NuScenes, Vec<Skeleton>, TempDir)> {
     let path = shared("the PandaSet drive")?.join("data/pandaset-002/nuscenes");
-    let drive = NuScenes::open(&LogLocator::new(LogFormat::NuScenes, path)).unwrap();
+    let drive = NuScenes::open(&LogLocator::new(&point_skeleton::dataset::nuscenes::FORMAT, path)).unwrap();
     let options = BuildOptions { voxel_m: 0.0, ..BuildOptions::default() };
     let all: Vec<usize> = (0..drive.recording().frames.len()).collect();
     let folder = tempfile::tempdir().unwrap();

@@ -7,6 +7,7 @@
 //! coordinates, on z = 0, as in nuScenes.
 
 mod error;
+mod format;
 mod map;
 mod meshes;
 mod record;
@@ -17,20 +18,17 @@ mod truth;
 mod write;
 
 pub use error::TownError;
+pub use format::FORMAT;
 pub use town::Town;
 pub use write::WriteError;
 
 use image::RgbImage;
 use point_skeleton::dataset::{
-    DatasetError, ImageRecord, LogFormat, LogReader, PosedActor, Recording, Sweep, SweepRecord, VectorMap,
-    ViewRenderer,
+    DatasetError, ImageRecord, LogReader, PosedActor, Recording, Sweep, SweepRecord, VectorMap, ViewRenderer,
 };
 use point_skeleton::geometry::View;
 
 use self::town::LOCATION;
-
-/// Format of a locator whose path has the [`TownOptions`](crate::TownOptions).
-pub const FORMAT: LogFormat = LogFormat::Other("town");
 
 impl LogReader for Town {
     fn recording(&self) -> &Recording {

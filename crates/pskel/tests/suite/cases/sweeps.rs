@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use point_skeleton::dataset::nuscenes::{NuScenes, read_sweep_file};
-use point_skeleton::dataset::{LogFormat, LogLocator, LogReader, Sweep};
+use point_skeleton::dataset::{LogLocator, LogReader, Sweep};
 use serde_json::Value;
 
 use super::Case;
@@ -111,7 +111,8 @@ fn merged_lidars_are_decided_once_per_log() {
     std::fs::write(path, bytes(kept.flat_map(|(_, row)| *row))).unwrap();
     let alone = read_sweep_file(path).unwrap();
     assert!(!alone.devices && alone.notes.keys().any(|note| note.contains("few ring numbers")));
-    let locator = LogLocator::new(LogFormat::NuScenes, sweeps.case.path().join("in/b"));
+    let locator =
+        LogLocator::new(&point_skeleton::dataset::nuscenes::FORMAT, sweeps.case.path().join("in/b"));
     let dataset = NuScenes::open(&locator).unwrap();
     let read = |record| dataset.read_sweep(record).unwrap().devices;
     assert!(dataset.recording().frames.iter().flat_map(|frame| &frame.sweeps).all(read));

@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use point_skeleton::dataset::nuscenes::NuScenes;
-use point_skeleton::dataset::{Class, LogFormat, LogLocator, LogReader, Recording};
+use point_skeleton::dataset::{Class, LogLocator, LogReader, Recording};
 use serde_json::{Value, json};
 
 use super::Case;
@@ -11,7 +11,10 @@ use crate::nuplan_made::Made;
 use crate::tiny_log::{TinyLog, assert_failed};
 
 fn recording(root: &Path) -> Recording {
-    NuScenes::open(&LogLocator::new(LogFormat::NuScenes, root)).unwrap().recording().clone()
+    NuScenes::open(&LogLocator::new(&point_skeleton::dataset::nuscenes::FORMAT, root))
+        .unwrap()
+        .recording()
+        .clone()
 }
 
 fn note(log: &Recording, kind: &str) -> usize {

@@ -1,7 +1,7 @@
 //! Forecasts of a closed loop that drives on after the end of the log.
 
 use point_skeleton::dataset::nuscenes::NuScenes;
-use point_skeleton::dataset::{LogFormat, LogLocator, LogReader};
+use point_skeleton::dataset::{LogLocator, LogReader};
 use point_skeleton::geometry::ImageSize;
 use point_skeleton::raster::{RasterizerDesc, RasterizerKind};
 use point_skeleton::skeleton::Skeleton;
@@ -15,7 +15,9 @@ use crate::simulate::built;
 #[test]
 fn forecasts_go_on_after_the_end_of_the_log() {
     let folder = built();
-    let dataset = NuScenes::open(&LogLocator::new(LogFormat::NuScenes, folder.path("log"))).unwrap();
+    let dataset =
+        NuScenes::open(&LogLocator::new(&point_skeleton::dataset::nuscenes::FORMAT, folder.path("log")))
+            .unwrap();
     let log = dataset.recording();
     let skeleton = Skeleton::open_for(&folder.path("sk"), log).unwrap();
     let rasterizer = RasterizerDesc::from(RasterizerKind::Cpu);

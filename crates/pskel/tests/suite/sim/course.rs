@@ -2,7 +2,7 @@
 
 use glam::DVec2;
 use point_skeleton::dataset::nuscenes::NuScenes;
-use point_skeleton::dataset::{EgoTrack, LogFormat, LogLocator, LogReader, Recording};
+use point_skeleton::dataset::{EgoTrack, LogLocator, LogReader, Recording};
 use point_skeleton::geometry::{Polyline, wrap_angle};
 use pskel_sim::{
     EgoPolicy, EndReason, Instant, LocalPath, PathAnchor, Rates, Scenario, SimOptions, Simulation, Tracking,
@@ -82,7 +82,10 @@ fn a_lane_change_in_the_town_reaches_its_lane_in_comfort() {
 #[test]
 fn a_real_lane_change_reaches_its_lane_in_comfort() {
     let Some(shared) = shared("the PandaSet drive") else { return };
-    let locator = LogLocator::new(LogFormat::NuScenes, shared.join("data/pandaset-002/nuscenes"));
+    let locator = LogLocator::new(
+        &point_skeleton::dataset::nuscenes::FORMAT,
+        shared.join("data/pandaset-002/nuscenes"),
+    );
     let drive = NuScenes::open(&locator).unwrap();
     for tracking in [Tracking::Perfect, Tracking::Bicycle] {
         for rates in [Rates::default(), Rates::NUSCENES] {

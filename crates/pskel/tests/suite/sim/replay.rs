@@ -1,6 +1,6 @@
 use glam::{DVec2, DVec3};
 use point_skeleton::dataset::nuscenes::NuScenes;
-use point_skeleton::dataset::{EgoTrack, LogFormat, LogLocator, LogReader, Recording};
+use point_skeleton::dataset::{EgoTrack, LogLocator, LogReader, Recording};
 use pskel_sim::{
     ActorPolicy, Committed, EgoPolicy, EndReason, Instant, Rates, Scenario, SimError, SimOptions, Simulation,
     scene_state,
@@ -195,9 +195,16 @@ fn the_ego_box_stands_on_its_rear_axle() {
 #[test]
 fn a_real_drive_is_replayed_exactly() {
     let Some(shared) = shared("the PandaSet drive") else { return };
-    let locator = LogLocator::new(LogFormat::NuScenes, shared.join("data/pandaset-002/nuscenes"));
+    let locator = LogLocator::new(
+        &point_skeleton::dataset::nuscenes::FORMAT,
+        shared.join("data/pandaset-002/nuscenes"),
+    );
     let drive = NuScenes::open(&locator).unwrap();
-    let scenario = Scenario { log: drive.recording(), map: None, rates: Rates::of(LogFormat::NuScenes) };
+    let scenario = Scenario {
+        log: drive.recording(),
+        map: None,
+        rates: Rates::of(&point_skeleton::dataset::nuscenes::FORMAT),
+    };
     assert_eq!(scenario.rates, Rates::NUSCENES);
     let mut sim = Simulation::new(&scenario, SimOptions { steps: 500, ..SimOptions::default() }).unwrap();
     let instants = all(&mut sim);
