@@ -71,3 +71,63 @@ pub fn write_beside<I: Send, P, W: Send>(
         }
     })
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Renders frames 0 to 3 and returns the calls: `b` begins, `f` finishes, of which the frame given fails.
+    fn run(depth: usize, failing: Option<&str>) -> (Vec<String>, Result<Vec<usize>, String>) {
+        let (mut calls, mut frames) = (Vec::new(), 0..4);
+        let call = |calls: &mut Vec<String>, name: String| {
+            calls.push(name.clone());
+            if failing == Some(&*name) { Err(name) } else { Ok(()) }
+        };
+        let mut pipeline = Pipeline::with_depth(depth);
+        let mut finished = Vec::new();
+        let result = loop {
+            let begin = |calls: &mut Vec<String>| {
+                let frame = frames.next();
+                frame.map_or(Ok(()), |frame| call(calls, format!("b{frame}")))?;
+                Ok(frame)
+            };
+            let finish = |calls: &mut Vec<String>, frame: &usize| call(calls, format!("f{frame}"));
+            match pipeline.next(&mut calls, begin, finish) {
+                Ok(Some((frame, ()))) => finished.push(frame),
+                Ok(None) => break Ok(finished),
+                Err(error) => break Err(error),
+            }
+        };
+        (calls, result)
+    }
+
+    #[test]
+    fn frames_begin_before_older_ones_are_finished() {
+        for (depth, expected) in [(1, "b0 f0 b1 f1 b2 f2 b3 f3"), (2, "b0 b1 f0 b2 f1 b3 f2 f3")] {
+            let (calls, result) = run(depth, None);
+            assert_eq!((calls.join(" ").as_str(), result), (expected, Ok(vec![0, 1, 2, 3])));
+        }
+    }
+
+    #[test]
+    fn errors_end_the_pipeline() {
+        assert_eq!(run(2, Some("b2")).1, Err("b2".to_owned()));
+        assert_eq!(
+            run(2, Some("f1")),
+            (["b0", "b1", "f0", "b2", "f1"].map(str::to_owned).into(), Err("f1".to_owned()))
+        );
+    }
+
+    #[test]
+    fn the_other_thread_receives_everything_in_order() {
+        let send = |sender: SyncSender<usize>| (0..100).take_while(|i| sender.send(*i).is_ok()).count();
+        let receive = |receiver: Receiver<usize>| receiver.into_iter().collect::<Vec<_>>();
+        let (sent, received) = write_beside("a test", receive, send).unwrap();
+        assert_eq!((sent, received), (100, (0..100).collect()));
+        // A thread that stops ends the sending.
+        let stop = |receiver: Receiver<usize>| receiver.into_iter().take(3).count();
+        let (sent, received) = write_beside("a test", stop, send).unwrap();
+        assert_eq!(received, 3);
+        assert!(sent < 100, "{sent}");
+    }
+}

@@ -1,14 +1,11 @@
-//! Formats of logs: one row per reader, also of readers in other crates.
-//!
-//! # How it works
-//! A row says how logs of a format are recognized, listed and opened. The rows of this crate are in [`BUILT_IN`]; a crate
-//! with another format, like that of the synthetic town, adds its row with [`register`] when the program starts.
+//! Formats and locations of logs, and the opener, which refer to each other. `registry` has the formats of the program.
 
+use std::any::Any;
 use std::fmt;
-use std::path::Path;
-use std::sync::{PoisonError, RwLock};
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex, PoisonError};
 
-use super::{DatasetError, LogLocator, LogOpener, LogOutline, LogReader};
+use super::{DatasetError, LogOutline, LogReader, ReadOptions};
 
 /// Opens the reader of a log.
 pub type OpenReader = fn(&LogLocator, &LogOpener) -> Result<Box<dyn LogReader>, DatasetError>;
@@ -31,43 +28,6 @@ pub struct LogFormat {
     pub outline: fn(&LogLocator, &LogOpener) -> Result<LogOutline, DatasetError>,
     /// Opens a log. The opener may have read tables of it.
     pub open: OpenReader,
-}
-
-/// Formats of this crate's readers.
-const BUILT_IN: &[&LogFormat] = &[
-    #[cfg(feature = "nuscenes")]
-    &super::nuscenes::FORMAT,
-    #[cfg(feature = "nuplan")]
-    &super::nuplan::FORMAT,
-    #[cfg(feature = "av2")]
-    &super::av2::FORMAT,
-];
-
-/// Formats of other crates' readers.
-static REGISTERED: RwLock<Vec<&'static LogFormat>> = RwLock::new(Vec::new());
-
-/// Adds a format. A second one of the same name is ignored.
-pub fn register(format: &'static LogFormat) {
-    let mut registered = REGISTERED.write().unwrap_or_else(PoisonError::into_inner);
-    if BUILT_IN.iter().chain(registered.iter()).all(|known| *known != format) {
-        registered.push(format);
-    }
-}
-
-/// Returns all formats: those of this crate, then the registered ones.
-pub fn formats() -> Vec<&'static LogFormat> {
-    let registered = REGISTERED.read().unwrap_or_else(PoisonError::into_inner);
-    BUILT_IN.iter().chain(registered.iter()).copied().collect()
-}
-
-/// Returns the names of all formats for messages, like `nuscenes, nuplan or av2`.
-pub(super) fn format_names() -> String {
-    let names: Vec<&str> = formats().iter().map(|format| format.name).collect();
-    match names.as_slice() {
-        [] => "none".to_owned(),
-        [only] => (*only).to_owned(),
-        [others @ .., last] => format!("{} or {last}", others.join(", ")),
-    }
 }
 
 impl LogFormat {
@@ -99,5 +59,99 @@ impl Eq for LogFormat {}
 impl fmt::Debug for LogFormat {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(self.name)
+    }
+}
+
+/// Location of a log. Text form: `FORMAT:PATH[@VERSION][#SCENE]`.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct LogLocator {
+    /// Format, which selects the reader.
+    pub format: &'static LogFormat,
+    /// Folder or file; any text that the reader understands if [`LogFormat::has_path`] is `false`.
+    pub path: PathBuf,
+    /// Version of the data set, for instance `v1.0-mini`.
+    pub version: Option<String>,
+    /// Scene name or token.
+    pub scene: Option<String>,
+    /// Folder of sweeps and images, if not the dataset's default.
+    pub sensor_root: Option<PathBuf>,
+    /// Folder of maps, if not the dataset's default.
+    pub map_root: Option<PathBuf>,
+    /// Whether file names in the dataset may point outside the folder of sweeps and images.
+    pub allow_outside: bool,
+    /// Options for ambiguous data.
+    pub reading: ReadOptions,
+}
+
+impl LogLocator {
+    /// Returns the files and folders that the log is read from, as far as the locator names them.
+    pub fn inputs(&self) -> impl Iterator<Item = &Path> {
+        let roots = [&self.sensor_root, &self.map_root].into_iter().flatten();
+        self.format.has_path.then_some(&self.path).into_iter().chain(roots).map(PathBuf::as_path)
+    }
+
+    /// Creates a locator for the only scene of a path, with default folders.
+    pub fn new(format: &'static LogFormat, path: impl Into<PathBuf>) -> Self {
+        let path = path.into();
+        let (version, scene, sensor_root, map_root, reading) = Default::default();
+        Self { format, path, version, scene, sensor_root, map_root, allow_outside: false, reading }
+    }
+}
+
+/// Formats as parsed, without the separately given folders.
+impl fmt::Display for LogLocator {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}:{}", self.format.name, self.path.display())?;
+        self.version.as_ref().map_or(Ok(()), |version| write!(f, "@{version}"))?;
+        self.scene.as_ref().map_or(Ok(()), |scene| write!(f, "#{scene}"))
+    }
+}
+
+/// Opens logs. Tables that hold many logs, as those of nuScenes do, are read once for consecutive logs of one data set.
+#[derive(Debug, Default)]
+pub struct LogOpener {
+    /// Tables that were read last.
+    tables: Mutex<Option<Arc<dyn Any + Send + Sync>>>,
+}
+
+impl LogOpener {
+    /// Creates an opener that has read nothing.
+    pub fn new() -> Self {
+        Self::default()
+    }
+
+    /// Opens the log that a locator names.
+    ///
+    /// # Errors
+    /// Returns any error of the format's reader.
+    pub fn open(&self, locator: &LogLocator) -> Result<Box<dyn LogReader>, DatasetError> {
+        (locator.format.open)(locator, self)
+    }
+
+    /// Returns name and length of a log. Those of nuScenes are in two small tables; logs of other formats are opened.
+    ///
+    /// # Errors
+    /// Fails as [`LogOpener::open`].
+    pub fn outline(&self, locator: &LogLocator) -> Result<LogOutline, DatasetError> {
+        (locator.format.outline)(locator, self)
+    }
+
+    /// Returns the tables that were read last if they fit, or reads others.
+    ///
+    /// # Errors
+    /// Returns any error of `read`.
+    pub fn tables<T: Any + Send + Sync>(
+        &self,
+        fit: impl Fn(&T) -> bool,
+        read: impl FnOnce() -> Result<T, DatasetError>,
+    ) -> Result<Arc<T>, DatasetError> {
+        let mut tables = self.tables.lock().unwrap_or_else(PoisonError::into_inner);
+        let known = tables.clone().and_then(|tables| tables.downcast::<T>().ok());
+        if let Some(known) = known.filter(|known| fit(known)) {
+            return Ok(known);
+        }
+        let read = Arc::new(read()?);
+        *tables = Some(Arc::clone(&read) as Arc<dyn Any + Send + Sync>);
+        Ok(read)
     }
 }

@@ -25,7 +25,6 @@ mod gaps;
 mod lenient;
 #[cfg(any(feature = "nuscenes", feature = "nuplan", feature = "av2"))]
 mod limits;
-mod locator;
 mod map;
 mod moved_ego;
 #[cfg(any(feature = "nuscenes", feature = "nuplan", feature = "av2"))]
@@ -34,10 +33,10 @@ mod notes;
 pub mod nuplan;
 #[cfg(feature = "nuscenes")]
 pub mod nuscenes;
-mod open;
 mod picture;
 mod reading;
 mod recording;
+mod registry;
 mod summary;
 #[cfg(any(feature = "nuscenes", feature = "nuplan", feature = "av2"))]
 mod sweeps;
@@ -46,18 +45,17 @@ pub(crate) use category::CategoryKind;
 pub use category::{Class, layout_rgb};
 pub use ego_track::EgoTrack;
 pub(crate) use fingerprint::is_fingerprint;
-pub use format::{LogFormat, OpenReader, formats, register};
+pub use format::{LogFormat, LogLocator, LogOpener, OpenReader};
 pub use gaps::{Gap, GapPlace, MissingData};
-pub use locator::LogLocator;
 pub use map::{Area, Lane, VectorMap};
 pub use moved_ego::MovedEgo;
-pub use open::{LogOpener, expand, open};
 pub use picture::{picture_size, read_picture, undecodable};
 pub use reading::{ImageDistortion, ReadOptions, RingMeaning};
 pub use recording::{
     Frame, ImageRecord, LogOutline, MapFiles, NavigationRoute, Recording, RigCamera, SweepRecord, Track,
     TrackBox, TrafficLight,
 };
+pub use registry::{expand, formats, open, register};
 pub use summary::{BoxCounts, CameraSummary, EgoPath, LogSummary, MapCounts};
 
 use std::collections::BTreeMap;

@@ -25,18 +25,19 @@ mod write_map;
 pub use choose::expand;
 pub use map::read_map_file;
 pub use sweep::{POINT_BYTES, parse_sweep, read_sweep_file, write_sweep_file};
-pub(super) use version::Version;
+use version::Version;
 
 pub use write::{LogWriter, write_log};
 pub use write_map::{MapLayers, RoadSegment, write_map};
 
 use std::path::PathBuf;
+use std::sync::Arc;
 
 use super::limits::check_roots;
 use super::sweeps::RingDecision;
 use super::{
-    DatasetError, ImageRecord, LogFormat, LogLocator, LogReader, Recording, Sweep, SweepRecord, VectorMap,
-    read_picture,
+    DatasetError, ImageRecord, LogFormat, LogLocator, LogOpener, LogReader, Recording, Sweep, SweepRecord,
+    VectorMap, read_picture,
 };
 use crate::files::input::DataRoot;
 
@@ -86,9 +87,14 @@ pub static FORMAT: LogFormat = LogFormat {
     detect: choose::has_tables,
     check: LogFormat::unchecked,
     expand,
-    outline: |locator, opener| opener.version(locator)?.outline(locator),
-    open: |locator, opener| Ok(Box::new(NuScenes::of(&*opener.version(locator)?, locator)?)),
+    outline: |locator, opener| version(locator, opener)?.outline(locator),
+    open: |locator, opener| Ok(Box::new(NuScenes::of(&*version(locator, opener)?, locator)?)),
 };
+
+/// Returns the tables of a locator.
+fn version(locator: &LogLocator, opener: &LogOpener) -> Result<Arc<Version>, DatasetError> {
+    opener.tables(|known: &Version| known.is_of(locator), || Version::open(locator))
+}
 
 impl LogReader for NuScenes {
     fn recording(&self) -> &Recording {
