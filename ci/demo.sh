@@ -96,7 +96,7 @@ fi
 pskel info
 pskel build --out "$out/skeleton"
 render --out "$out/maps"
-render --out "$out/maps-moved" --ego-offset 0,2,-5
+render --out "$out/maps-moved" --ego-offset left_m=2,yaw_deg=-5
 if [[ $log == town:* ]]; then
     pskel fidelity --skeleton "$out/skeleton" --frames "$frames" --out-size "$size" --splat "$splat" \
         --markdown "$out/fidelity.md" --csv "$out/fidelity.csv"

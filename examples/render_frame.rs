@@ -11,7 +11,7 @@ pub fn run(log: &str, out: &Path) -> Result<(), Error> {
     let skeleton = Skeleton::build(&log, out.join("skeleton"), &Default::default())?;
     let mut renderer = Renderer::new(&skeleton, RenderOptions::default())?;
     for frame in log.frames().take(1) {
-        let left = EgoOffset { y_m: 2.0, ..EgoOffset::default() };
+        let left = EgoOffset { left_m: 2.0, ..EgoOffset::default() };
         renderer.render(&frame.moved(left))?.write(out.join("maps").join(&frame.name))?;
     }
     Ok(())

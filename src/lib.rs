@@ -13,7 +13,7 @@
 //! let skeleton = Skeleton::build(&log, "out/skeleton", &Default::default())?;
 //! let mut renderer = Renderer::new(&skeleton, RenderOptions::default())?;
 //! for frame in log.frames() {
-//!     let one_lane_left = EgoOffset { y_m: 3.5, ..EgoOffset::default() };
+//!     let one_lane_left = EgoOffset { left_m: 3.5, ..EgoOffset::default() };
 //!     let maps = renderer.render(&frame.moved(one_lane_left))?;
 //!     maps.write(format!("out/maps/{}", frame.name))?;
 //! }

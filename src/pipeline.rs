@@ -76,7 +76,7 @@ pub fn write_beside<I: Send, P, W: Send>(
 mod tests {
     use super::*;
 
-    /// Renders frames 0 to 3 and returns the calls: `b` begins, `f` finishes, of which the frame given fails.
+    /// Renders frames 0 to 3, with one call that fails. Returns the calls, `b` begins and `f` finishes, and the result.
     fn run(depth: usize, failing: Option<&str>) -> (Vec<String>, Result<Vec<usize>, String>) {
         let (mut calls, mut frames) = (Vec::new(), 0..4);
         let call = |calls: &mut Vec<String>, name: String| {

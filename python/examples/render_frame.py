@@ -15,7 +15,7 @@ def main(name: str, out: Path) -> None:
     log = pskel.Log(name)
     skeleton = pskel.build(log, out / "skeleton", progress=True)
     with pskel.Renderer(skeleton, out_size=(256, 448), maps=["color", "depth"]) as renderer:
-        scene = log[0].move_ego(left=2.0)
+        scene = log[0].move_ego(left_m=2.0)
         maps = renderer.render(scene)
     figure = Figure(figsize=(16, 3.6), layout="constrained")
     axes = figure.subplots(2, len(scene.cameras), squeeze=False)

@@ -16,7 +16,7 @@ from torch.utils.data import DataLoader
 
 def moved(scene: pskel.Scene, generator: np.random.Generator) -> pskel.Scene:
     """Moves the ego sideways; images of a town follow."""
-    return scene.move_ego(left=float(generator.uniform(-1.0, 1.0)))
+    return scene.move_ego(left_m=float(generator.uniform(-1.0, 1.0)))
 
 
 def main(name: str, out: Path, epochs: int = 2, workers: int = 1) -> list[float]:

@@ -224,14 +224,14 @@ impl Scene {
 
     /// Returns the scene with ego and cameras displaced in the ego frame: meters, degrees to the left. Raises
     /// `ValueError` for numbers that are not finite.
-    #[pyo3(signature = (*, forward=0.0, left=0.0, yaw_deg=0.0))]
-    fn move_ego(&self, forward: f64, left: f64, yaw_deg: f64) -> PyResult<Self> {
-        for (name, value) in [("forward", forward), ("left", left), ("yaw_deg", yaw_deg)] {
+    #[pyo3(signature = (*, forward_m=0.0, left_m=0.0, yaw_deg=0.0))]
+    fn move_ego(&self, forward_m: f64, left_m: f64, yaw_deg: f64) -> PyResult<Self> {
+        for (name, value) in [("forward_m", forward_m), ("left_m", left_m), ("yaw_deg", yaw_deg)] {
             if !value.is_finite() {
                 return Err(PyValueError::new_err(format!("expected a finite {name}, found {value}")));
             }
         }
-        let offset = EgoOffset { x_m: forward, y_m: left, yaw_rad: yaw_deg.to_radians() };
+        let offset = EgoOffset { forward_m, left_m, yaw_deg };
         Ok(self.with(self.inner.moved(offset)))
     }
 

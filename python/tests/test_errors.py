@@ -70,7 +70,7 @@ def test_scenes_are_checked(log: pskel.Log) -> None:
     camera = pskel.Camera("front", K, (80, 100), EYE)
     actor = pskel.Actor("a", "vehicle.car", (4.0, 2.0, 1.5), EYE)
     for call, message in [
-        (lambda: log[0].move_ego(left=float("nan")), "expected a finite left, found NaN"),
+        (lambda: log[0].move_ego(left_m=float("nan")), "expected a finite left_m, found NaN"),
         (lambda: pskel.Scene(EYE * np.nan, [camera]), "rigid transform as ego"),
         (lambda: pskel.Scene(np.eye(3), [camera]), r"expected ego \[4, 4\], found \[3, 3\]"),
         (lambda: pskel.Scene(EYE, [camera, camera]), "cameras once each"),
@@ -166,7 +166,7 @@ def test_a_closed_renderer_says_so(log: pskel.Log, skeleton: pskel.Skeleton) -> 
 
 def test_scenes_of_another_log_are_rejected(renderer: pskel.Renderer) -> None:
     other = pskel.Log("town:seed=8,frames=2,size=113x200")
-    for call in (lambda: renderer.render(other[0]), lambda: list(renderer.render_all([other[0].move_ego(left=1.0)]))):
+    for call in (lambda: renderer.render(other[0]), lambda: list(renderer.render_all([other[0].move_ego(left_m=1.0)]))):
         with pytest.raises(ValueError, match="expected a scene of log town-7-4f-overcast, found one of town-8-2f"):
             call()
     log = pskel.Log(TOWN)

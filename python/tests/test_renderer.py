@@ -16,12 +16,12 @@ def test_maps_equal_those_of_the_command(
     log: pskel.Log, skeleton: pskel.Skeleton, tmp_path: Path, run: Run, rasterizer: str
 ) -> None:
     out = tmp_path / "maps"
-    options = ["--maps", ",".join([*MAPS, "tensor"]), "--out-size", "56x100", "--ego-offset", "1,2,5"]
+    options = ["--maps", ",".join([*MAPS, "tensor"]), "--out-size", "56x100", "--ego-offset", "forward_m=1,left_m=2,yaw_deg=5"]
     command = ["render", TOWN, "--skeleton", str(skeleton.path), "--out", str(out), "--frames", "1..3"]
     run("-m", "pskel", *command, "--format", "npz", "--rasterizer", rasterizer, *options)
     with pskel.Renderer(skeleton, out_size=(56, 100), maps=[*MAPS, "tensor"], rasterizer=rasterizer) as renderer:
         for frame in (1, 2):
-            maps = renderer.render(log[frame].move_ego(forward=1.0, left=2.0, yaw_deg=5.0))
+            maps = renderer.render(log[frame].move_ego(forward_m=1.0, left_m=2.0, yaw_deg=5.0))
             with np.load(out / f"{frame:06}" / "maps.npz") as expected:
                 assert set(expected) == set(maps)
                 for name, found in maps.items():
@@ -79,7 +79,7 @@ def test_scenes_describe_their_cameras(log: pskel.Log) -> None:
     assert scene.intrinsics.shape == (6, 3, 3) and scene.camera_from_global.shape == (6, 4, 4)
     assert scene.sizes == [(113, 200)] * 6
     scene = log.at((log.times_us[0] + log.times_us[1]) // 2)  # all cameras at one time
-    moved = scene.move_ego(forward=3.0, left=-1.0, yaw_deg=90.0)
+    moved = scene.move_ego(forward_m=3.0, left_m=-1.0, yaw_deg=90.0)
     np.testing.assert_allclose(np.linalg.inv(scene.ego) @ moved.ego @ [0, 0, 0, 1], [3, -1, 0, 1], atol=1e-9)
     rig = scene.camera_from_global @ scene.ego
     np.testing.assert_allclose(moved.camera_from_global @ moved.ego, rig, atol=1e-9)
@@ -100,7 +100,7 @@ def test_logs_are_sequences(log: pskel.Log) -> None:
 def test_images_of_a_town_follow_the_scene(log: pskel.Log) -> None:
     images = log.images(log[1], (56, 100))
     assert images.shape == (6, 56, 100, 3) and images.dtype == np.uint8
-    moved = log.images(log[1].move_ego(left=2.0), (56, 100))
+    moved = log.images(log[1].move_ego(left_m=2.0), (56, 100))
     assert (images != moved).any()
 
 

@@ -26,7 +26,7 @@ def sources(skeleton: pskel.Skeleton) -> list[tuple[str, str]]:
 
 
 def moved(scene: pskel.Scene, rng: np.random.Generator) -> pskel.Scene:
-    return scene.move_ego(left=float(rng.uniform(-1, 1)))
+    return scene.move_ego(left_m=float(rng.uniform(-1, 1)))
 
 
 def batches(dataset: Any, workers: int, **options: Any) -> list[dict[str, Any]]:
@@ -124,7 +124,7 @@ def test_clips_take_every_nth_frame_or_a_rate(sources: list[tuple[str, str]], lo
         assert [item["t_us"].tolist() for item in dataset] == [[times[0], times[2]], [times[1], times[3]]]
     consecutive = ConditionDataset(sources, hz=rate, **options)
     assert [item["t_us"].tolist() for item in consecutive] == [times[i : i + 2] for i in range(3)]
-    moved = ConditionDataset(sources, every=3, augment=lambda scene, _: scene.move_ego(left=1.0), **options)
+    moved = ConditionDataset(sources, every=3, augment=lambda scene, _: scene.move_ego(left_m=1.0), **options)
     assert len(moved) == 1 and moved[0]["t_us"].tolist() == [times[0], times[3]]
     stream = ConditionStream(sources, every=2, **options)
     assert [item["t_us"].tolist() for item in stream] == [[times[0], times[2]], [times[1], times[3]]]

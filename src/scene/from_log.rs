@@ -1,8 +1,10 @@
+use std::str::FromStr;
+
 use glam::DVec3;
 
 use super::{ActorState, SceneCamera, SceneState};
 use crate::dataset::{EgoTrack, Frame, ImageRecord, Recording, RigCamera, TrackBox};
-use crate::geometry::{Pose, View};
+use crate::geometry::{ParseOptionError, Pose, View};
 
 /// Returns the name of a frame's state.
 pub fn name_of_frame(index: usize) -> String {
@@ -14,21 +16,49 @@ pub fn name_of_time(t_us: i64) -> String {
     t_us.to_string()
 }
 
-/// Ego displacement in its own frame: meters forward and to the left, radians to the left.
+/// Displacement of the ego in its own frame. Text form: `forward_m=1,left_m=2,yaw_deg=5`, of which any part may be omitted.
 #[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize)]
 pub struct EgoOffset {
     /// Forward, meters.
-    pub x_m: f64,
+    pub forward_m: f64,
     /// To the left, meters.
-    pub y_m: f64,
-    /// To the left, radians.
-    pub yaw_rad: f64,
+    pub left_m: f64,
+    /// Rotation to the left, degrees.
+    pub yaw_deg: f64,
 }
 
 impl EgoOffset {
     /// Returns `ego_from_moved_ego`.
     pub fn pose(&self) -> Pose {
-        Pose::from_yaw(self.yaw_rad, DVec3::new(self.x_m, self.y_m, 0.0))
+        Pose::from_yaw(self.yaw_deg.to_radians(), DVec3::new(self.forward_m, self.left_m, 0.0))
+    }
+}
+
+impl FromStr for EgoOffset {
+    type Err = ParseOptionError;
+
+    fn from_str(text: &str) -> Result<Self, ParseOptionError> {
+        let wrong = || ParseOptionError {
+            expected: "a moved ego, like forward_m=1,left_m=-2,yaw_deg=5 (any of them, each once, finite)",
+            found: text.to_owned(),
+        };
+        let (mut offset, mut given) = (Self::default(), Vec::new());
+        for part in text.split(',') {
+            let (name, value) = part.split_once('=').ok_or_else(wrong)?;
+            let name = name.trim();
+            let field = match name {
+                "forward_m" => &mut offset.forward_m,
+                "left_m" => &mut offset.left_m,
+                "yaw_deg" => &mut offset.yaw_deg,
+                _ => return Err(wrong()),
+            };
+            *field = value.trim().parse().ok().filter(|value: &f64| value.is_finite()).ok_or_else(wrong)?;
+            if given.contains(&name) {
+                return Err(wrong());
+            }
+            given.push(name);
+        }
+        Ok(offset)
     }
 }
 
@@ -155,4 +185,20 @@ pub fn frame_rate_hz(frames: &[Frame]) -> Option<f64> {
     let mut steps: Vec<i64> = frames.windows(2).map(|w| w[1].t_us - w[0].t_us).collect();
     steps.sort_unstable();
     steps.get(steps.len() / 2).filter(|dt| **dt > 0).map(|dt| 1e6 / *dt as f64)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn offsets_are_named_with_their_units() {
+        let offset: EgoOffset = "left_m=-2.5, yaw_deg=90".parse().unwrap();
+        assert_eq!(offset, EgoOffset { forward_m: 0.0, left_m: -2.5, yaw_deg: 90.0 });
+        assert!((offset.pose().yaw_rad() - std::f64::consts::FRAC_PI_2).abs() < 1e-15);
+        for text in ["", "1,2,3", "left=1", "left_m=1,left_m=1", "yaw_deg=nan", "forward_m", "forward_m=1,"] {
+            let message = text.parse::<EgoOffset>().unwrap_err().to_string();
+            assert!(message.contains("forward_m=1,left_m=-2,yaw_deg=5"), "{message}");
+        }
+    }
 }

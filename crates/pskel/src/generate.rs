@@ -17,7 +17,7 @@ use super::map_args::MapArgs;
 use super::rasterizer::RasterizerArgs;
 use super::simulate::{self, ClipArgs, EgoName, GenerationArgs, SimulateArgs};
 use super::substitutes::SubstituteArgs;
-use super::{WrongUsage, numbers, say};
+use super::{WrongUsage, say};
 
 /// Regenerate the images of a log from its conditions: ego and actors follow the log
 ///
@@ -51,8 +51,9 @@ pub(super) struct GenerateArgs {
     /// Start at the first frame at or after this time, absolute microseconds [default: the log's first frame]
     #[arg(long, value_name = "T_US", allow_negative_numbers = true)]
     start: Option<i64>,
-    /// Move the ego of a synthetic log at all frames: forward, left (meters), turn to the left (degrees)
-    #[arg(long, value_name = "X,Y,YAW_DEG", value_parser = numbers::ego_offset, allow_hyphen_values = true)]
+    /// Move the ego of a synthetic log at all frames, like forward_m=1,left_m=-2,yaw_deg=5: meters forward and to the left,
+    /// degrees to the left
+    #[arg(long, value_name = "left_m=M,..")]
     ego_offset: Option<EgoOffset>,
     /// Also write a copy of the data set (nuScenes) with the generated images, enlarged to the original size; all
     /// other files are links to the original. A new or empty folder, or an earlier copy, which is replaced

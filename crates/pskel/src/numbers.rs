@@ -3,7 +3,6 @@
 use std::fmt;
 use std::str::FromStr;
 
-use point_skeleton::scene::EgoOffset;
 use point_skeleton::skeleton::CHUNK_M;
 
 /// Half-open, non-empty range of frames `A..B`.
@@ -97,15 +96,6 @@ pub(super) fn points(text: &str) -> Result<usize, String> {
         .ok_or_else(|| format!("expected 1 to {MOST} points, like 4000000 or 4e6"))
 }
 
-/// Parses an ego offset `X,Y,YAW_DEG`.
-pub(super) fn ego_offset(text: &str) -> Result<EgoOffset, String> {
-    let numbers: Option<Vec<f64>> = text.split(',').map(finite).collect();
-    match numbers.as_deref() {
-        Some(&[x_m, y_m, yaw_deg]) => Ok(EgoOffset { x_m, y_m, yaw_rad: yaw_deg.to_radians() }),
-        _ => Err("expected three numbers X,Y,YAW_DEG, like 0,-2,5".to_owned()),
-    }
-}
-
 pub(super) fn finite(text: &str) -> Option<f64> {
     text.trim().parse().ok().filter(|v: &f64| v.is_finite())
 }
@@ -162,14 +152,5 @@ mod tests {
         for text in ["0", "-4", "4.5", "4294967295", "1e30", "NaN", "x", ""] {
             assert!(points(text).unwrap_err().contains("1 to 4294967294 points"), "{text}");
         }
-    }
-
-    #[test]
-    fn offsets() {
-        let offset = ego_offset("0,-2.5,90").unwrap();
-        assert_eq!((offset.x_m, offset.y_m, offset.yaw_rad), (0.0, -2.5, std::f64::consts::FRAC_PI_2));
-        assert!(
-            ego_offset("1,2").is_err() && ego_offset("1,2,3,4").is_err() && ego_offset("1,2,NaN").is_err()
-        );
     }
 }

@@ -247,11 +247,11 @@ impl Measurement<'_> {
     fn offset(&self, frame: usize, row: &mut Measured) -> EgoOffset {
         match row.pose {
             Pose::Logged => EgoOffset::default(),
-            Pose::Turned(deg) => EgoOffset { yaw_rad: deg.to_radians(), ..EgoOffset::default() },
+            Pose::Turned(deg) => EgoOffset { yaw_deg: deg, ..EgoOffset::default() },
             Pose::Beside(m) => {
                 let (right, left) = (
-                    EgoOffset { y_m: -m, ..EgoOffset::default() },
-                    EgoOffset { y_m: m, ..EgoOffset::default() },
+                    EgoOffset { left_m: -m, ..EgoOffset::default() },
+                    EgoOffset { left_m: m, ..EgoOffset::default() },
                 );
                 if !self.is_on_lane(frame, right) && self.is_on_lane(frame, left) {
                     row.to_the_left += 1;

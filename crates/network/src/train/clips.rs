@@ -116,7 +116,11 @@ impl ClipRecorder<'_> {
             |most: f64| Uniform::new_inclusive(-most, most).map_or(0.0, |range| range.sample(&mut random));
         // Recorded images exist at the recorded poses alone.
         let offset = match log.reader().view_renderer() {
-            Some(_) => EgoOffset { x_m: 0.0, y_m: within(BESIDE_M), yaw_rad: within(TURNED_RAD) },
+            Some(_) => EgoOffset {
+                forward_m: 0.0,
+                left_m: within(BESIDE_M),
+                yaw_deg: within(TURNED_RAD).to_degrees(),
+            },
             None => EgoOffset::default(),
         };
         Variant { offset, augment: self.options.augment.then_some(SEED ^ number as u64) }

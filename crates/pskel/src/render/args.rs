@@ -51,8 +51,9 @@ pub(crate) struct RenderArgs {
     /// Also write FRAME/birdseye.png: bird's-eye view of 100 x 100 m around the ego, with HD map, boxes and cameras
     #[arg(long)]
     pub(super) birdseye: bool,
-    /// Move the ego in its own frame: meters forward, meters to the left, degrees to the left
-    #[arg(long, value_name = "X,Y,YAW_DEG", value_parser = numbers::ego_offset, allow_hyphen_values = true)]
+    /// Move the ego in its own frame, like forward_m=1,left_m=-2,yaw_deg=5: meters forward and to the left, degrees to
+    /// the left
+    #[arg(long, value_name = "left_m=M,..")]
     #[arg(conflicts_with = "cameras")]
     pub(super) ego_offset: Option<EgoOffset>,
     /// Use these cameras instead of the log's, posed in the log's global frame:

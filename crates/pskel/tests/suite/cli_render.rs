@@ -124,15 +124,15 @@ fn the_car_moves_in_the_image_as_the_ego_does() {
     // The template's back is 1.75 m wide and fills the 2 m box with its mirrors; at 10 m: columns 48 -+ 4.2.
     let frame = "--frames 0..1";
     assert_eq!(car(&log, frame, "000000"), Car { depth_m: 10.0, columns: [43, 52] });
-    let moved = car(&log, &format!("{frame} --ego-offset 0,0.5,0"), "000000");
+    let moved = car(&log, &format!("{frame} --ego-offset left_m=0.5"), "000000");
     assert_eq!(moved, Car { depth_m: 10.0, columns: [46, 54] });
-    assert_eq!(car(&log, &format!("{frame} --ego-offset 3,0,0"), "000000").depth_m, 7.0);
+    assert_eq!(car(&log, &format!("{frame} --ego-offset forward_m=3"), "000000").depth_m, 7.0);
     // Two meters to the left of it, at half the distance between frames 0 and 1 (10.5 m).
     let between = FIRST_US + STEP_US / 2;
     assert_eq!(car(&log, &format!("--at {between}"), &between.to_string()).depth_m, 10.5);
     assert_eq!(car(&log, "--frames 2..3", "000002").depth_m, 12.0);
     // With the ego moved back and turned around, the car is not in the front camera's view.
-    log.succeed(&format!("{RENDER} --format npz {frame} --ego-offset -1,-2,180"));
+    log.succeed(&format!("{RENDER} --format npz {frame} --ego-offset forward_m=-1,left_m=-2,yaw_deg=180"));
     let instance = npz::read::<u32>(&log.path("out/000000/maps.npz"), "instance").data;
     let pixels = (WIDTH * HEIGHT) as usize;
     assert!(!instance[..pixels].contains(&1) && instance[pixels..].contains(&1));
@@ -275,8 +275,11 @@ fn a_file_size_limit_leaves_no_frame() {
 fn wrong_usage_exits_with_2_and_times_out_of_the_log_with_1() {
     let log = built();
     for (extra, part) in [
-        ("--ego-offset 1,2", "X,Y,YAW_DEG"),
-        ("--ego-offset 1,2,3 --cameras c.json", "cannot be used with"),
+        ("--ego-offset 1,2", "like forward_m=1,left_m=-2,yaw_deg=5"),
+        ("--ego-offset left_m=1,left_m=2", "each once"),
+        ("--ego-offset left=1", "forward_m=1"),
+        ("--ego-offset yaw_deg=nan", "finite"),
+        ("--ego-offset forward_m=1,left_m=2,yaw_deg=3 --cameras c.json", "cannot be used with"),
         ("--at 5 --frames 0..1", "cannot be used with"),
         ("--at 5,x", "invalid digit"),
         ("--hz 6 --at 5", "cannot be used with"),

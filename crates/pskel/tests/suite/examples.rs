@@ -25,7 +25,7 @@ fn render_frame_writes_the_maps_of_the_command() {
     let name = format!("nuscenes:{}", log.path("log").display());
     render_frame::run(&name, &log.path("example")).unwrap();
     log.succeed("build nuscenes:log --out sk");
-    let options = "--frames 0..1 --ego-offset 0,2,0 --maps color,depth,class,instance,boxes";
+    let options = "--frames 0..1 --ego-offset left_m=2 --maps color,depth,class,instance,boxes";
     log.succeed(&format!("render nuscenes:log --skeleton sk --out maps {options}"));
     assert!(maps(&log, "example/maps") == maps(&log, "maps"));
 }

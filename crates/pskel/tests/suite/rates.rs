@@ -121,7 +121,7 @@ fn render_at_a_rate_steps_through_the_chosen_frames() {
         assert!((f64::from(nearest) - 10.0 - 2.0 * seconds).abs() < 1e-3, "{i}: {nearest}");
     }
     // Only the selected frames: from frame 1 to frame 2, at a rate that does not hit the end.
-    log.succeed(&format!("{render}/part --hz 3 --frames 1..3 --ego-offset 0,1,0"));
+    log.succeed(&format!("{render}/part --hz 3 --frames 1..3 --ego-offset left_m=1"));
     let index = log.json("out/part/index.json");
     let names: Vec<String> =
         index["frames"].as_array().unwrap().iter().map(|f| f["name"].as_str().unwrap().into()).collect();

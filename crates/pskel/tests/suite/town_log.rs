@@ -28,7 +28,7 @@ fn close(a: &Pose, b: &Pose) -> bool {
 /// A log with a moved ego has the states of the log seen from the moved ego; a recorded log has no images there.
 #[test]
 fn a_moved_ego_takes_its_cameras_along() {
-    let offset = EgoOffset { x_m: 0.5, y_m: 2.0, yaw_rad: 0.1 };
+    let offset = EgoOffset { forward_m: 0.5, left_m: 2.0, yaw_deg: 6.0 };
     let moved = MovedEgo::new(Box::new(Town::new(&OPTIONS).unwrap()), offset).unwrap();
     let log = town().recording();
     for frame in 0..FRAMES {

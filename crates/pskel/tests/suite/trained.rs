@@ -101,7 +101,7 @@ fn recorded(folder: &Path) {
     let bytes = std::fs::read(folder.join("mixed/weights.safetensors")).unwrap();
     let header = String::from_utf8_lossy(&bytes[8..1 << 12]);
     assert!(header.contains("--weights 3,1 --hold-out 2"), "{header}");
-    let moved = "generate nuscenes:log --skeleton none --out moved --ego-offset 0,2,5";
+    let moved = "generate nuscenes:log --skeleton none --out moved --ego-offset left_m=2,yaw_deg=5";
     assert_failed(
         &command(folder, moved).output().unwrap(),
         1,
@@ -129,7 +129,7 @@ fn shipped(folder: &Path) {
 /// Holes of color maps are filled from an ego that is moved; the town has the truth there.
 fn filled(folder: &Path) {
     let fill = format!(
-        "generate {TOWN} --skeleton sk --generator fill --maps color --ego-offset 0,2,5 --out filled"
+        "generate {TOWN} --skeleton sk --generator fill --maps color --ego-offset left_m=2,yaw_deg=5 --out filled"
     );
     assert!(succeed(folder, &fill).contains("2 frames generated"));
     std::fs::write(folder.join("coarse.json"), r#"{"splat": "100:3"}"#).unwrap();
