@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use point_skeleton::dataset::Dataset;
+use point_skeleton::dataset::LogReader;
 use point_skeleton::dataset::av2::read_map_file;
 use serde_json::{Value, json};
 
