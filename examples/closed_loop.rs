@@ -1,5 +1,6 @@
-//! Simulates 20 steps in closed loop, with the ego driving straight on among reactive vehicles, and renders every step:
-//! `cargo run --release -p pskel-sim --example closed_loop -- nuscenes:/data/nuscenes@v1.0-mini#scene-0061 out`.
+//! Simulates 20 steps in closed loop, with the ego driving straight on among reactive vehicles, and renders
+//! every step: `cargo run --release -p pskel-sim --example closed_loop --
+//! nuscenes:/data/nuscenes@v1.0-mini#scene-0061 out`.
 
 use std::path::Path;
 

@@ -1,6 +1,7 @@
-//! Splats your own points into your own camera, without a log or a skeleton, and writes `splat.png`:
-//! `cargo run --release --example splat_cloud`. Camera axes are x right, y down, z forward. Positions are `f32`: put a
-//! nearby origin into `world_from_local`. For several cameras or reduced sizes see `conditions::render_views`.
+//! Splats your own points into your own camera, without a log or a skeleton, and writes `splat.png`: `cargo
+//! run --release --example splat_cloud`. Camera axes are x right, y down, z forward. Positions are `f32`: put
+//! a nearby origin into `world_from_local`. For several cameras or reduced sizes see
+//! `conditions::render_views`.
 
 use std::path::Path;
 

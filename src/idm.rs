@@ -1,7 +1,7 @@
 //! Intelligent Driver Model: acceleration on a free road and behind a leader.
 //!
-//! M. Treiber, A. Hennecke and D. Helbing, "Congested traffic states in empirical observations and microscopic
-//! simulations", Physical Review E 62, 1805 (2000). All values are in meters and seconds.
+//! M. Treiber, A. Hennecke and D. Helbing, "Congested traffic states in empirical observations and
+//! microscopic simulations", Physical Review E 62, 1805 (2000). All values are in meters and seconds.
 
 /// Exponent of the speed on a free road.
 const EXPONENT: i32 = 4;
@@ -21,8 +21,8 @@ pub struct Idm {
     pub min_gap_m: f64,
     /// Gaps below this count as this, meters.
     pub gap_floor_m: f64,
-    /// Whether the desired gap is at least `min_gap_m` behind a faster leader as well. The model of 2000 lets it
-    /// become smaller.
+    /// Whether the desired gap is at least `min_gap_m` behind a faster leader as well. The model of 2000 lets
+    /// it become smaller.
     pub keeps_min_gap: bool,
 }
 
@@ -36,8 +36,8 @@ pub struct Leader {
 }
 
 impl Idm {
-    /// Returns the acceleration at a speed (m/s), m/s². The deceleration is not limited: close to a leader it exceeds
-    /// `braking_mps2`.
+    /// Returns the acceleration at a speed (m/s), m/s². The deceleration is not limited: close to a leader it
+    /// exceeds `braking_mps2`.
     pub fn acceleration_mps2(&self, speed_mps: f64, leader: Option<Leader>) -> f64 {
         let free = 1.0 - (speed_mps / self.desired_mps).powi(EXPONENT);
         let held = leader.map_or(0.0, |leader| {
@@ -77,7 +77,8 @@ mod tests {
     fn the_desired_speed_and_gap_are_equilibria() {
         assert_eq!(IDM.acceleration_mps2(0.0, None), 1.0);
         assert_eq!(IDM.acceleration_mps2(10.0, None), 0.0);
-        // At rest at the minimum gap, and at 5 m/s behind a leader of the same speed at the gap of equilibrium.
+        // At rest at the minimum gap, and at 5 m/s behind a leader of the same speed at the gap of
+        // equilibrium.
         assert_eq!(IDM.acceleration_mps2(0.0, Some(Leader { gap_m: 2.0, speed_mps: 0.0 })), 0.0);
         let gap_m = (2.0 + 5.0 * 1.5) / (1.0_f64 - 0.0625).sqrt();
         assert!(IDM.acceleration_mps2(5.0, Some(Leader { gap_m, speed_mps: 5.0 })).abs() < 1e-12);

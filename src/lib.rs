@@ -1,9 +1,9 @@
 //! Converts driving recordings to camera conditions.
 //!
-//! A recording (LiDAR sweeps, camera images, calibration, ego poses, tracked boxes) is accumulated once into a point
-//! *skeleton*: the static background in the global frame and one point asset per tracked actor. For any frame or any
-//! other ego pose, the skeleton is splatted with depth tests into the cameras. Each camera yields a color map, a
-//! metric depth map, a class mask, an instance mask and layouts of boxes and HD map.
+//! A recording (LiDAR sweeps, camera images, calibration, ego poses, tracked boxes) is accumulated once into
+//! a point *skeleton*: the static background in the global frame and one point asset per tracked actor. For
+//! any frame or any other ego pose, the skeleton is splatted with depth tests into the cameras. Each camera
+//! yields a color map, a metric depth map, a class mask, an instance mask and layouts of boxes and HD map.
 //!
 //! ```no_run
 //! use point_skeleton::{EgoOffset, Log, RenderOptions, Renderer, Skeleton};
@@ -21,12 +21,13 @@
 //! # }
 //! ```
 //!
-//! Data flows one way: [`dataset`] → [`skeleton`] → [`scene`] → [`raster`] → [`conditions`]. To splat your own points,
-//! see [`raster`] and `examples/splat_cloud.rs`. `docs/ARCHITECTURE.md` has an overview of the modules,
-//! `docs/CONDITIONS.md` the map definitions.
+//! Data flows one way: [`dataset`] → [`skeleton`] → [`scene`] → [`raster`] → [`conditions`]. To splat your
+//! own points, see [`raster`] and `examples/splat_cloud.rs`. `docs/ARCHITECTURE.md` has an overview of the
+//! modules, `docs/CONDITIONS.md` the map definitions.
 //!
 //! # Features
-//! `nuscenes`, `nuplan` and `av2` are readers of data sets; `exr` writes maps as OpenEXR files. All are on by default.
+//! `nuscenes`, `nuplan` and `av2` are readers of data sets; `exr` writes maps as OpenEXR files. All are on by
+//! default.
 
 pub mod cloud;
 pub mod conditions;

@@ -15,8 +15,9 @@ pub struct Log {
 }
 
 impl Log {
-    /// Opens a log by name: `FORMAT:PATH[@VERSION][#SCENE]`, such as `nuscenes:/data/nuscenes@v1.0-mini#scene-0061`.
-    /// Reads tables, no sweeps and images. The HD map is read when it is needed.
+    /// Opens a log by name: `FORMAT:PATH[@VERSION][#SCENE]`, such as
+    /// `nuscenes:/data/nuscenes@v1.0-mini#scene-0061`. Reads tables, no sweeps and images. The HD map is read
+    /// when it is needed.
     ///
     /// # Errors
     /// Fails if the name is invalid or if a table is missing or damaged.
@@ -116,11 +117,12 @@ impl Log {
 }
 
 impl Skeleton {
-    /// Builds a skeleton from all frames of a log, and writes it to a folder. An existing skeleton is replaced. For
-    /// several logs, templates, progress and resumption see [`skeleton::build`].
+    /// Builds a skeleton from all frames of a log, and writes it to a folder. An existing skeleton is
+    /// replaced. For several logs, templates, progress and resumption see [`skeleton::build`].
     ///
     /// # Errors
-    /// Fails if a file of the log is damaged and the log was opened with [`MissingData::Error`], if no sweep has points, or if the folder cannot be written.
+    /// Fails if a file of the log is damaged and the log was opened with [`MissingData::Error`], if no sweep
+    /// has points, or if the folder cannot be written.
     pub fn build(log: &Log, folder: impl AsRef<Path>, options: &BuildOptions) -> Result<Self, Error> {
         let input = BuildInput::all(log.reader());
         let run = BuildRun::default();

@@ -29,7 +29,8 @@ impl Maps {
         self.set.cameras.iter().find(|camera| camera.name == *name)
     }
 
-    /// Writes a PNG per map and `meta.json` (cameras and poses) into a folder, which is created if it does not exist.
+    /// Writes a PNG per map and `meta.json` (cameras and poses) into a folder, which is created if it does
+    /// not exist.
     ///
     /// # Errors
     /// Fails if a file cannot be written, or if a number does not fit into a PNG.

@@ -1,8 +1,9 @@
 //! Frames in flight, and files that another thread writes: the loop of everything that renders many states.
 //!
 //! # How it works
-//! The device renders one state while the host works on the previous one ([`Pipeline`]), and another thread writes the
-//! results ([`write_beside`]). The order of the results is that of the states, and so are the bytes that are written.
+//! The device renders one state while the host works on the previous one ([`Pipeline`]), and another thread
+//! writes the results ([`write_beside`]). The order of the results is that of the states, and so are the
+//! bytes that are written.
 
 use std::collections::VecDeque;
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
@@ -29,9 +30,9 @@ impl<T> Pipeline<T> {
         Self { depth, begun: VecDeque::new() }
     }
 
-    /// Begins frames until as many as possible are in flight, then finishes the oldest one and returns it with its tag.
-    /// `begin` begins the next frame and returns its tag, or `None` after the last. `begin` and `finish` receive `device`.
-    /// Returns `None` if no frame is left.
+    /// Begins frames until as many as possible are in flight, then finishes the oldest one and returns it
+    /// with its tag. `begin` begins the next frame and returns its tag, or `None` after the last. `begin` and
+    /// `finish` receive `device`. Returns `None` if no frame is left.
     ///
     /// # Errors
     /// Returns any error of `begin` and `finish`.
@@ -51,8 +52,9 @@ impl<T> Pipeline<T> {
     }
 }
 
-/// Runs `produce` while another thread runs `write` with what `produce` sends. At most one item waits. `what` describes
-/// the thread in errors, like `the thread that writes maps`. If the thread stops early, sending fails.
+/// Runs `produce` while another thread runs `write` with what `produce` sends. At most one item waits. `what`
+/// describes the thread in errors, like `the thread that writes maps`. If the thread stops early, sending
+/// fails.
 ///
 /// # Errors
 /// Fails if the thread cannot be started.
@@ -76,7 +78,8 @@ pub fn write_beside<I: Send, P, W: Send>(
 mod tests {
     use super::*;
 
-    /// Renders frames 0 to 3, with one call that fails. Returns the calls, `b` begins and `f` finishes, and the result.
+    /// Renders frames 0 to 3, with one call that fails. Returns the calls, `b` begins and `f` finishes, and
+    /// the result.
     fn run(depth: usize, failing: Option<&str>) -> (Vec<String>, Result<Vec<usize>, String>) {
         let (mut calls, mut frames) = (Vec::new(), 0..4);
         let call = |calls: &mut Vec<String>, name: String| {

@@ -88,7 +88,8 @@ impl<'a> Renderer<'a> {
         Ok(Self { distorter, ..Self::with_rasterizer(clouds, rasterizer, maps) })
     }
 
-    /// Creates a renderer with a rasterizer that holds [`SceneClouds::cloud_set`], for rasterizers outside this crate.
+    /// Creates a renderer with a rasterizer that holds [`SceneClouds::cloud_set`], for rasterizers outside
+    /// this crate.
     pub fn with_rasterizer(
         clouds: SceneClouds<'a>,
         rasterizer: Box<dyn Rasterizer + 'a>,
@@ -97,8 +98,8 @@ impl<'a> Renderer<'a> {
         Self { clouds, rasterizer, maps, distorter: None, in_flight: VecDeque::new() }
     }
 
-    /// Checks that the maps of a state fit into the memory that is available. Rendering checks this too; calling it first
-    /// refuses before other work.
+    /// Checks that the maps of a state fit into the memory that is available. Rendering checks this too;
+    /// calling it first refuses before other work.
     ///
     /// # Errors
     /// Fails if they do not fit.
@@ -117,8 +118,8 @@ impl<'a> Renderer<'a> {
         self.finish()
     }
 
-    /// Renders other maps of a state than those that the renderer was created for, without lens distortion. Frames in
-    /// flight are discarded.
+    /// Renders other maps of a state than those that the renderer was created for, without lens distortion.
+    /// Frames in flight are discarded.
     ///
     /// # Errors
     /// Fails as [`Renderer::render`].
@@ -128,8 +129,8 @@ impl<'a> Renderer<'a> {
         self.finish()
     }
 
-    /// Renders the maps of states in order. The device renders a state while the host works on the previous one, so
-    /// this is faster than repeated calls of [`Renderer::render`]. Frames in flight are discarded.
+    /// Renders the maps of states in order. The device renders a state while the host works on the previous
+    /// one, so this is faster than repeated calls of [`Renderer::render`]. Frames in flight are discarded.
     ///
     /// # Errors
     /// Items are errors of [`Renderer::render`]; the iterator ends with the first.
@@ -156,8 +157,8 @@ impl<'a> Renderer<'a> {
         })
     }
 
-    /// Renders tagged states in order like [`Renderer::render_iter`], and passes their maps to `take` until it returns
-    /// `false`.
+    /// Renders tagged states in order like [`Renderer::render_iter`], and passes their maps to `take` until
+    /// it returns `false`.
     ///
     /// # Errors
     /// Returns the first error of `states`, and any error of [`Renderer::render`] as [`Error::Step`].
@@ -184,8 +185,8 @@ impl<'a> Renderer<'a> {
         }
     }
 
-    /// Begins rendering the maps of a state; [`Renderer::finish`] returns them. States finish in order, with at most
-    /// [`FRAMES_IN_FLIGHT`](raster::FRAMES_IN_FLIGHT) at a time.
+    /// Begins rendering the maps of a state; [`Renderer::finish`] returns them. States finish in order, with
+    /// at most [`FRAMES_IN_FLIGHT`](raster::FRAMES_IN_FLIGHT) at a time.
     ///
     /// # Errors
     /// As [`Renderer::render`]; also fails if too many frames are in flight.
@@ -194,7 +195,8 @@ impl<'a> Renderer<'a> {
         self.begin_step(state, pinholes, &self.maps.clone())
     }
 
-    /// Begins rendering other maps of a state than those that the renderer was created for, without lens distortion.
+    /// Begins rendering other maps of a state than those that the renderer was created for, without lens
+    /// distortion.
     ///
     /// # Errors
     /// Fails as [`Renderer::begin`].

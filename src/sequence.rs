@@ -1,7 +1,7 @@
 //! Condition maps of a [`SceneSequence`] in an output folder.
 //!
-//! A step has a folder with maps, contact sheet, `meta.json` and optionally a bird's-eye view; `index.json` is written
-//! last. Another thread writes a step while the next ones are rendered.
+//! A step has a folder with maps, contact sheet, `meta.json` and optionally a bird's-eye view; `index.json`
+//! is written last. Another thread writes a step while the next ones are rendered.
 
 use std::sync::mpsc::{Receiver, SyncSender};
 
@@ -37,9 +37,9 @@ pub struct SequenceWriter<'a> {
 }
 
 impl SequenceWriter<'_> {
-    /// Renders all states and writes them and an index with `options`. Steps of an earlier run in the folder are
-    /// replaced one by one; its index is removed first, since a folder with an index is complete. Calls `on_step` with
-    /// the name of each rendered step. Returns the entries of the index.
+    /// Renders all states and writes them and an index with `options`. Steps of an earlier run in the folder
+    /// are replaced one by one; its index is removed first, since a folder with an index is complete. Calls
+    /// `on_step` with the name of each rendered step. Returns the entries of the index.
     ///
     /// # Errors
     /// Fails if a step cannot be rendered, or if a file cannot be written or is not of an earlier run.

@@ -1,8 +1,9 @@
 //! Start of threads, with an error in place of a panic where the system allows too few of them.
 //!
-//! Containers (`pids.max`), `ulimit -u` and batch systems limit the number of threads. The standard library and rayon
-//! panic then, and some Vulkan drivers wait forever for a thread that they could not start. All threads of the library and the
-//! command are therefore started here. [`probe`] starts and ends the threads that a driver will need before the driver does.
+//! Containers (`pids.max`), `ulimit -u` and batch systems limit the number of threads. The standard library
+//! and rayon panic then, and some Vulkan drivers wait forever for a thread that they could not start. All
+//! threads of the library and the command are therefore started here. [`probe`] starts and ends the threads
+//! that a driver will need before the driver does.
 
 use std::error::Error;
 use std::io;
@@ -43,7 +44,8 @@ impl From<ThreadError> for io::Error {
     }
 }
 
-/// Adds the advice of [`ThreadError`] to an error of starting a process, if the limit on processes is its cause.
+/// Adds the advice of [`ThreadError`] to an error of starting a process, if the limit on processes is its
+/// cause.
 pub fn process_error(error: io::Error) -> io::Error {
     match error.kind() {
         io::ErrorKind::WouldBlock => ThreadError::new("a process")(error).into(),
@@ -74,8 +76,8 @@ pub fn spawn_scoped<'scope, T: Send + 'scope>(
     Builder::new().spawn_scoped(scope, run).map_err(ThreadError::new(what))
 }
 
-/// Starts a number of threads that exist at the same time, then ends them. `what` describes them in errors, like `the threads of a
-/// driver`.
+/// Starts a number of threads that exist at the same time, then ends them. `what` describes them in errors,
+/// like `the threads of a driver`.
 ///
 /// # Errors
 /// Fails if the system starts fewer.
@@ -93,8 +95,8 @@ pub fn probe(threads: usize, what: &str) -> Result<(), ThreadError> {
     })
 }
 
-/// Starts rayon's global pool with its default number of threads, which otherwise starts at the first use. Does nothing if it runs
-/// already. For programs; a library should leave the choice to its program.
+/// Starts rayon's global pool with its default number of threads, which otherwise starts at the first use.
+/// Does nothing if it runs already. For programs; a library should leave the choice to its program.
 ///
 /// # Errors
 /// Fails if the system allows fewer threads than the pool and one thread beside it.
@@ -149,8 +151,9 @@ fn processors() -> usize {
     std::thread::available_parallelism().map_or(1, usize::from)
 }
 
-/// Returns how many threads a Vulkan driver starts that renders on the processor. Mesa's lavapipe has a pool for rasterization, one
-/// for compute shaders, a queue and a writer of its cache (22.3; SwiftShader starts fewer).
+/// Returns how many threads a Vulkan driver starts that renders on the processor. Mesa's lavapipe has a pool
+/// for rasterization, one for compute shaders, a queue and a writer of its cache (22.3; SwiftShader starts
+/// fewer).
 pub(crate) fn of_cpu_driver() -> usize {
     // Mesa 24 raised the limit from 16.
     const MOST: usize = 32;
@@ -158,7 +161,8 @@ pub(crate) fn of_cpu_driver() -> usize {
     2 * asked.unwrap_or_else(|| processors().max(online_processors())).min(MOST) + 2
 }
 
-/// Returns the number of processors of the machine, which drivers use whatever this process is limited to; 0 if unknown.
+/// Returns the number of processors of the machine, which drivers use whatever this process is limited to; 0
+/// if unknown.
 fn online_processors() -> usize {
     let stat = std::fs::read_to_string("/proc/stat").unwrap_or_default();
     let is_processor = |line: &&str| line.strip_prefix("cpu").is_some_and(|rest| !rest.starts_with(' '));

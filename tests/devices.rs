@@ -1,9 +1,9 @@
 //! Opens and closes devices on several threads, under the validation layer.
 //!
-//! The layer looks up a device's state in a map that it does not lock: opening or closing a device on one thread
-//! while another thread calls Vulkan crashed the process (`src/gpu/gate.rs`). Some threads here open a device, copy
-//! with it, sometimes make a mistake, and close it; others copy continuously with their own device. Every byte must
-//! arrive, and every message must reach only the device that caused it.
+//! The layer looks up a device's state in a map that it does not lock: opening or closing a device on one
+//! thread while another thread calls Vulkan crashed the process (`src/gpu/gate.rs`). Some threads here open a
+//! device, copy with it, sometimes make a mistake, and close it; others copy continuously with their own
+//! device. Every byte must arrive, and every message must reach only the device that caused it.
 //!
 //! The test takes 10 seconds. `PSKEL_STRESS_S=600 cargo test --test devices` takes 10 minutes;
 //! `PSKEL_STRESS_THREADS=8` uses eight threads of each kind instead of three.

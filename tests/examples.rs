@@ -19,7 +19,8 @@ fn splat_cloud_draws_a_disk_the_same_on_all_rasterizers() {
     for kind in [RasterizerKind::Auto, RasterizerKind::Graphics] {
         assert!(draw(kind) == image, "{kind}");
     }
-    // A sphere of radius 1 m at 5 m covers a disk of radius 350 * tan(asin(1/5)) = 71 pixels, grown by the splats.
+    // A sphere of radius 1 m at 5 m covers a disk of radius 350 * tan(asin(1/5)) = 71 pixels, grown by the
+    // splats.
     for (x, y, pixel) in image.enumerate_pixels() {
         let radius = (f64::from(x) + 0.5 - 200.0).hypot(f64::from(y) + 0.5 - 150.0);
         let empty = pixel.0 == [0; 3];

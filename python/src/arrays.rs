@@ -55,7 +55,8 @@ impl<'py, T: Element, D: Dimension + 'static> FromPyObject<'_, 'py> for Typed<'p
     }
 }
 
-/// Checks that an array, or a list or tuple of arrays, has no masked values: conversion would uncover what lies below.
+/// Checks that an array, or a list or tuple of arrays, has no masked values: conversion would uncover what
+/// lies below.
 ///
 /// # Errors
 /// Raises `TypeError` with the number of masked values.
@@ -131,8 +132,8 @@ pub(crate) fn shaped<'a>(
 /// Reads a rigid transform `[4, 4]`, meters.
 ///
 /// # Errors
-/// Raises `ValueError` for another shape, values that are not finite, coordinates beyond the limit of all files, and
-/// matrices that scale, shear or mirror.
+/// Raises `ValueError` for another shape, values that are not finite, coordinates beyond the limit of all
+/// files, and matrices that scale, shear or mirror.
 pub(crate) fn pose(name: &str, array: &Numbers<'_>) -> PyResult<Pose> {
     let view = shaped(name, array, &[4, 4])?;
     let affine = affine(name, |row, column| view[[row, column]])?;

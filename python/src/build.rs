@@ -11,10 +11,10 @@ use crate::log::Log;
 use crate::pool::detached;
 use crate::skeleton::Skeleton;
 
-/// Builds a skeleton from all frames of a log, and writes it to a folder; an existing skeleton is replaced. `progress`
-/// has the methods `start(stage, steps)` and `step()`. Ctrl-C stops the build; the next call with `resume=True` continues
-/// it from its last checkpoint, at most 20 frames before. Raises `BuildError`, and `RenderError` in the fork of a process
-/// that has rendered images of the log.
+/// Builds a skeleton from all frames of a log, and writes it to a folder; an existing skeleton is replaced.
+/// `progress` has the methods `start(stage, steps)` and `step()`. Ctrl-C stops the build; the next call with
+/// `resume=True` continues it from its last checkpoint, at most 20 frames before. Raises `BuildError`, and
+/// `RenderError` in the fork of a process that has rendered images of the log.
 #[pyfunction]
 #[pyo3(signature = (log, out, *, resume=false, progress=None))]
 pub(crate) fn build(

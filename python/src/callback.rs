@@ -2,8 +2,8 @@ use std::sync::{Mutex, PoisonError};
 
 use pyo3::prelude::*;
 
-/// Progress object of Python. Work stops at its first exception, or at a signal (Ctrl-C), which Python handles in the main thread
-/// alone.
+/// Progress object of Python. Work stops at its first exception, or at a signal (Ctrl-C), which Python
+/// handles in the main thread alone.
 pub(crate) struct Callback {
     object: Option<Py<PyAny>>,
     raised: Mutex<Option<PyErr>>,

@@ -19,7 +19,8 @@ pub(crate) struct Export {
 
 #[pymethods]
 impl Export {
-    /// Parses the arguments of `pskel export` and lists the shards. Raises `ValueError` for invalid arguments.
+    /// Parses the arguments of `pskel export` and lists the shards. Raises `ValueError` for invalid
+    /// arguments.
     #[new]
     fn new(py: Python<'_>, args: Vec<OsString>) -> PyResult<Self> {
         let command = ExportCommand::parse(args).map_err(|error| invalid(reason(&error.to_string())))?;
@@ -47,13 +48,15 @@ impl Export {
         self.listed.failures.iter().map(|failure| (failure.name.clone(), failure.error.clone())).collect()
     }
 
-    /// Writes `index.json` into a folder with the records of all shards, and returns whether all of them exist.
+    /// Writes `index.json` into a folder with the records of all shards, and returns whether all of them
+    /// exist.
     fn write_index(&self, py: Python<'_>, folder: PathBuf) -> PyResult<bool> {
         detached(py, || self.command.write_index(&self.listed, &folder).map_err(failed))
     }
 
-    /// Writes the shards with these names, by default all and their index, and returns a report as JSON. `progress` has the
-    /// methods `frame(shard)` and `skip(frames)`. Raises `Error` if the folder cannot be written. Ctrl-C stops the export.
+    /// Writes the shards with these names, by default all and their index, and returns a report as JSON.
+    /// `progress` has the methods `frame(shard)` and `skip(frames)`. Raises `Error` if the folder cannot be
+    /// written. Ctrl-C stops the export.
     #[pyo3(signature = (shards=None, *, progress=None))]
     fn run(
         &self,
@@ -97,7 +100,8 @@ impl ExportProgress for Callback {
     }
 }
 
-/// Returns the first paragraph of the message of a wrong argument, without the usage of the command, in one line.
+/// Returns the first paragraph of the message of a wrong argument, without the usage of the command, in one
+/// line.
 fn reason(message: &str) -> String {
     let message = message.strip_prefix("error: ").unwrap_or(message);
     message.lines().map(str::trim).take_while(|line| !line.is_empty()).collect::<Vec<_>>().join(" ")

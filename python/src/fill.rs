@@ -8,9 +8,9 @@ use rayon::prelude::*;
 use crate::arrays::Typed;
 use crate::pool::detached;
 
-/// Fills the holes of color maps `[V, H, W, 3]` `uint8`, where `depth` `[V, H, W]` `float32` is infinite, with weighted means
-/// of the pixels around them (pull-push). Returns `[V, H, W, 3]` `uint8`; images without any point are gray. Raises
-/// `ValueError` for other shapes.
+/// Fills the holes of color maps `[V, H, W, 3]` `uint8`, where `depth` `[V, H, W]` `float32` is infinite,
+/// with weighted means of the pixels around them (pull-push). Returns `[V, H, W, 3]` `uint8`; images without
+/// any point are gray. Raises `ValueError` for other shapes.
 #[pyfunction]
 pub(crate) fn fill_holes<'py>(
     py: Python<'py>,

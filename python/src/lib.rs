@@ -1,9 +1,10 @@
 //! The Python extension `pskel._pskel`: logs, skeletons, the renderer, simulations and the generator loop.
 //!
 //! # How it works
-//! Every class wraps one type of the library and adds no behavior of its own. Calls that read files, wait for the
-//! device or simulate release the interpreter lock (`pool`). Errors of the library become subclasses of `pskel.Error`
-//! with the same text; invalid arguments become `ValueError`. Maps are NumPy arrays over all cameras (`maps`).
+//! Every class wraps one type of the library and adds no behavior of its own. Calls that read files, wait for
+//! the device or simulate release the interpreter lock (`pool`). Errors of the library become subclasses of
+//! `pskel.Error` with the same text; invalid arguments become `ValueError`. Maps are NumPy arrays over all
+//! cameras (`maps`).
 
 mod arrays;
 mod build;
@@ -28,8 +29,8 @@ mod time;
 use mimalloc::MiMalloc;
 use pyo3::prelude::pymodule;
 
-/// As in the command: the default allocator returns the memory of every frame's maps to the system, and page faults cost more
-/// than the copy.
+/// As in the command: the default allocator returns the memory of every frame's maps to the system, and page
+/// faults cost more than the copy.
 #[global_allocator]
 static ALLOCATOR: MiMalloc = MiMalloc;
 

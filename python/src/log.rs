@@ -19,12 +19,12 @@ use crate::owned_log::OwnedLog;
 use crate::pool::detached;
 use crate::scene::Scene;
 
-/// A recorded drive: sensors, calibration, ego poses, tracked boxes and HD map. Its items are the scenes at key frames, by
-/// index or slice.
+/// A recorded drive: sensors, calibration, ego poses, tracked boxes and HD map. Its items are the scenes at
+/// key frames, by index or slice.
 ///
-/// `name` is `FORMAT:PATH[@VERSION][#SCENE]` or `town:OPTIONS`. `missing` is the policy for missing and damaged parts: `"skip"`
-/// counts them in `notes` and names missing ones in `gaps`, `"error"` raises with the first. Raises `LogError`; warns
-/// (`UserWarning`) of an incomplete log and of an HD map that cannot be read.
+/// `name` is `FORMAT:PATH[@VERSION][#SCENE]` or `town:OPTIONS`. `missing` is the policy for missing and
+/// damaged parts: `"skip"` counts them in `notes` and names missing ones in `gaps`, `"error"` raises with the
+/// first. Raises `LogError`; warns (`UserWarning`) of an incomplete log and of an HD map that cannot be read.
 #[pyclass(frozen, sequence, module = "pskel")]
 pub(crate) struct Log {
     pub(crate) inner: Arc<OwnedLog>,
@@ -127,7 +127,8 @@ impl Log {
         Scenes { log: slf.unbind(), next: 0 }
     }
 
-    /// Returns the scene at a time (microseconds), with interpolated ego and actors. Raises `ValueError` outside the log.
+    /// Returns the scene at a time (microseconds), with interpolated ego and actors. Raises `ValueError`
+    /// outside the log.
     fn at(&self, t_us: i64) -> PyResult<Scene> {
         let scene = self.inner.state_at(t_us).map(|state| Scene::of_log(state, &self.inner));
         scene.ok_or_else(|| {
@@ -137,10 +138,11 @@ impl Log {
         })
     }
 
-    /// Returns the camera images of a scene, `[V, H, W, 3]` `uint8`: recorded images nearest in time, without lens
-    /// distortion and resized to `size` (height, width), or images rendered at the scene's poses if the log is a town.
-    /// Raises `ValueError` for a scene of another log, `LogError` if an image cannot be read, and `RenderError` if it cannot
-    /// be rendered, as in the fork of a process that has rendered images of the log.
+    /// Returns the camera images of a scene, `[V, H, W, 3]` `uint8`: recorded images nearest in time, without
+    /// lens distortion and resized to `size` (height, width), or images rendered at the scene's poses if the
+    /// log is a town. Raises `ValueError` for a scene of another log, `LogError` if an image cannot be read,
+    /// and `RenderError` if it cannot be rendered, as in the fork of a process that has rendered images of
+    /// the log.
     #[pyo3(signature = (scene, size))]
     fn images<'py>(&self, py: Python<'py>, scene: &Scene, size: Size) -> PyResult<Bound<'py, PyArray4<u8>>> {
         let (log, scene, Size(size)) = (Arc::clone(&self.inner), scene.checked(self.name())?, size);

@@ -6,8 +6,9 @@ use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
-/// Returns a dictionary of the rendered maps: color, boxes and map `[V, H, W, 3]` `uint8`; depth `[V, H, W]` `float32`,
-/// meters, `inf` where empty; class `uint8`, instance and point `uint32`; points and layout `float32` `[V, C, H, W]`.
+/// Returns a dictionary of the rendered maps: color, boxes and map `[V, H, W, 3]` `uint8`; depth `[V, H, W]`
+/// `float32`, meters, `inf` where empty; class `uint8`, instance and point `uint32`; points and layout
+/// `float32` `[V, C, H, W]`.
 pub(crate) fn dictionary<'py>(py: Python<'py>, cameras: &[CameraConditions]) -> PyResult<Bound<'py, PyDict>> {
     let dictionary = PyDict::new(py);
     let Some(first) = cameras.first() else { return Ok(dictionary) };

@@ -6,7 +6,8 @@ use pyo3::prelude::*;
 
 use crate::error::RenderError;
 
-/// A log, and the process that rendered its images, if it is synthetic: the device of that process belongs to it.
+/// A log, and the process that rendered its images, if it is synthetic: the device of that process belongs to
+/// it.
 pub(crate) struct OwnedLog {
     log: Arc<point_skeleton::Log>,
     /// 0 if no image was rendered.

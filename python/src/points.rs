@@ -20,12 +20,12 @@ pub(crate) struct ArrayPoint {
     pub(crate) class: u8,
 }
 
-/// Reads an array of points. Colors are scaled as in NPY files; warns of scaled colors, and of positions that `float32` has
-/// rounded.
+/// Reads an array of points. Colors are scaled as in NPY files; warns of scaled colors, and of positions that
+/// `float32` has rounded.
 ///
 /// # Errors
-/// Raises `ValueError` for another shape, positions that are not finite, colors out of range, and classes that are not
-/// integers of 0 to 255.
+/// Raises `ValueError` for another shape, positions that are not finite, colors out of range, and classes
+/// that are not integers of 0 to 255.
 pub(crate) fn points(py: Python<'_>, name: &str, array: &Numbers<'_>) -> PyResult<Vec<ArrayPoint>> {
     let view = shaped(name, array, &[0, 0])?;
     let columns = view.shape()[1];
@@ -61,7 +61,8 @@ pub(crate) fn points(py: Python<'_>, name: &str, array: &Numbers<'_>) -> PyResul
     (0..view.shape()[0]).map(read).collect()
 }
 
-/// Returns points relative to an origin near most of them, and the origin, as for files. Warns of points too far from it.
+/// Returns points relative to an origin near most of them, and the origin, as for files. Warns of points too
+/// far from it.
 pub(crate) fn placed(py: Python<'_>, name: &str, points: &[ArrayPoint]) -> PyResult<(Vec<Point>, DVec3)> {
     let origin = origin_of(points.iter().map(|point| point.position));
     let mut precision = Precision::default();

@@ -1,7 +1,8 @@
 //! Calls without the interpreter lock, also in forked processes.
 //!
-//! A fork inherits the thread pool of the library without its threads, so that any use of it would wait forever. In
-//! a process other than the one that imported the module, calls therefore run in a pool of that process.
+//! A fork inherits the thread pool of the library without its threads, so that any use of it would wait
+//! forever. In a process other than the one that imported the module, calls therefore run in a pool of that
+//! process.
 
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 

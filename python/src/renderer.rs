@@ -53,13 +53,13 @@ struct Device {
 ///
 /// - `size`: (height, width) to render at, pixels; by default that of the cameras.
 /// - `out_size`: (height, width) of the maps, to which they are reduced after rendering; by default `size`.
-/// - `maps`: names of maps, by default color, depth, class, instance and boxes; also map (needs an HD map), point and
-///   tensor.
-/// - `splat`: radius by depth `Z:R,..`, by default `15:2,35:1,100:0`. Up to Z meters a point covers (2R+1) x (2R+1) pixels
-///   of `size`; points beyond the last Z are not drawn.
+/// - `maps`: names of maps, by default color, depth, class, instance and boxes; also map (needs an HD map),
+///   point and tensor.
+/// - `splat`: radius by depth `Z:R,..`, by default `15:2,35:1,100:0`. Up to Z meters a point covers (2R+1) x
+///   (2R+1) pixels of `size`; points beyond the last Z are not drawn.
 /// - `radius`: distance from the ego along the global x and y axes up to which points are drawn, meters.
-/// - `min_actor_points`: actors with at most so many points get the shape of the template of their kind, if there is one, in
-///   all maps but color; trucks, buses, trailers and construction vehicles keep theirs.
+/// - `min_actor_points`: actors with at most so many points get the shape of the template of their kind, if
+///   there is one, in all maps but color; trucks, buses, trailers and construction vehicles keep theirs.
 /// - `default_templates`: whether the built-in templates are used, besides those of the skeleton.
 /// - `rasterizer`: auto, compute, graphics or cpu (needs no driver); all give the same maps.
 /// - `device`: index, UUID, PCI address or part of the name; by default `PSKEL_DEVICE`, else the fastest.
@@ -143,8 +143,8 @@ impl Renderer {
         Ok(Self { device, log: name, process: std::process::id() })
     }
 
-    /// Renders the maps of a scene: a dictionary of arrays over all cameras. Raises `RenderError`, and `ValueError` for a
-    /// scene of another log.
+    /// Renders the maps of a scene: a dictionary of arrays over all cameras. Raises `RenderError`, and
+    /// `ValueError` for a scene of another log.
     fn render<'py>(&self, py: Python<'py>, scene: &Scene) -> PyResult<Bound<'py, PyDict>> {
         let scene = scene.checked(&self.log)?;
         let call = || {
@@ -154,8 +154,8 @@ impl Renderer {
         dictionary(py, detached(py, call)?.0.cameras())
     }
 
-    /// Renders the maps of scenes in order. The device renders a scene while Python uses the maps of the previous one.
-    /// After another call of this renderer, the iterator raises `RuntimeError`.
+    /// Renders the maps of scenes in order. The device renders a scene while Python uses the maps of the
+    /// previous one. After another call of this renderer, the iterator raises `RuntimeError`.
     fn render_all(slf: Bound<'_, Self>, scenes: &Bound<'_, PyAny>) -> PyResult<Frames> {
         let scenes = scenes.try_iter()?.unbind();
         let (py, renderer) = (slf.py(), slf.get());
@@ -229,8 +229,8 @@ impl Renderer {
         self.device.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Calls a function with the renderer, after calls of other threads, and returns the number of the series of frames.
-    /// `series`: the series it belongs to; `None` begins one.
+    /// Calls a function with the renderer, after calls of other threads, and returns the number of the series
+    /// of frames. `series`: the series it belongs to; `None` begins one.
     fn with<T>(
         &self,
         series: Option<u64>,

@@ -14,9 +14,9 @@ use crate::arrays::Numbers;
 use crate::error::Error;
 use crate::time::{Committed, Forecast};
 
-/// The denoising loop of the generator with a function as the network: `denoise(latents, timesteps, sigmas, conditions)`
-/// receives a window of noisy latents `[F, V, C, h, w]`, their noise levels `[F]` and the conditions of the frames, and
-/// returns its prediction `[F, V, C, h, w]`.
+/// The denoising loop of the generator with a function as the network: `denoise(latents, timesteps, sigmas,
+/// conditions)` receives a window of noisy latents `[F, V, C, h, w]`, their noise levels `[F]` and the
+/// conditions of the frames, and returns its prediction `[F, V, C, h, w]`.
 ///
 /// - `shape`: (V, C, h, w) of the latents.
 /// - `window`: frames per call of the network, 2 to 64.
@@ -28,7 +28,8 @@ use crate::time::{Committed, Forecast};
 /// - `sampler`: flow_match or ddim.
 /// - `shift`: shift of the noise levels towards the noise (sampler flow_match).
 /// - `prediction`: epsilon, v_prediction (default) or sample (sampler ddim).
-/// - `guidance`: scale; other than 1, the network is also called with `condition.without("layout", "action")`.
+/// - `guidance`: scale; other than 1, the network is also called with `condition.without("layout",
+///   "action")`.
 /// - `seed`: seed of the noise.
 ///
 /// Raises `ValueError` for options that do not fit.
@@ -110,8 +111,8 @@ impl ResetAndRoll {
         self.options.forecasts()
     }
 
-    /// Adds the clean latent of a reference frame, oldest first, with its conditions. Raises `ValueError` for another
-    /// shape and for more references than needed.
+    /// Adds the clean latent of a reference frame, oldest first, with its conditions. Raises `ValueError` for
+    /// another shape and for more references than needed.
     fn add_reference(&self, py: Python<'_>, latent: Numbers<'_>, condition: &Committed) -> PyResult<()> {
         let mut state = self.lock()?;
         let count = self.options.references();
@@ -123,9 +124,9 @@ impl ResetAndRoll {
         Ok(())
     }
 
-    /// Generates the next frame from its committed condition and forecasts of the next ones, and returns its latent
-    /// `[V, C, h, w]`. Raises the exceptions of the network, and `Error` for predictions of another shape and values that
-    /// are not finite; the state is then unchanged.
+    /// Generates the next frame from its committed condition and forecasts of the next ones, and returns its
+    /// latent `[V, C, h, w]`. Raises the exceptions of the network, and `Error` for predictions of another
+    /// shape and values that are not finite; the state is then unchanged.
     fn step<'py>(
         &self,
         py: Python<'py>,
@@ -164,8 +165,8 @@ impl ResetAndRoll {
         Ok(PyBytes::new(py, &bytes.map_err(|error| Error::new_err(with_causes(&error).to_string()))?))
     }
 
-    /// Restores a state of a loop with the same options; `conditions`: those of the last `references` frames, oldest first.
-    /// Raises `ValueError` for a damaged state or one of other options.
+    /// Restores a state of a loop with the same options; `conditions`: those of the last `references` frames,
+    /// oldest first. Raises `ValueError` for a damaged state or one of other options.
     fn load(&self, py: Python<'_>, saved: &[u8], conditions: Vec<PyRef<'_, Committed>>) -> PyResult<()> {
         let mut state = self.lock()?;
         let cache = Cache::from_bytes(saved)

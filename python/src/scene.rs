@@ -15,9 +15,9 @@ use crate::error::invalid;
 
 /// Camera of a scene, mounted on the ego: a pinhole.
 ///
-/// `intrinsics` `[3, 3]` in pixels, `size` (height, width) in pixels, `ego_from_camera` `[4, 4]` in meters (camera axes: x
-/// right, y down, z forward). Raises `ValueError` for singular intrinsics, focal lengths that are not positive, and
-/// transforms that are not rigid.
+/// `intrinsics` `[3, 3]` in pixels, `size` (height, width) in pixels, `ego_from_camera` `[4, 4]` in meters
+/// (camera axes: x right, y down, z forward). Raises `ValueError` for singular intrinsics, focal lengths that
+/// are not positive, and transforms that are not rigid.
 #[pyclass(frozen, module = "pskel")]
 #[derive(Clone)]
 pub(crate) struct Camera {
@@ -50,9 +50,10 @@ impl Camera {
 
 /// Actor of a scene: a box, with the points of its track in the skeleton or a template.
 ///
-/// `category` as in nuScenes (`vehicle.car`, `human.pedestrian.adult` ..; any other is of class 4, without a template and a
-/// drawn box), `size` (length, width, height) in meters, `global_from_box` `[4, 4]` in meters (x forward, y left, z up,
-/// origin at the center). Raises `ValueError` for sizes that are not positive and transforms that are not rigid.
+/// `category` as in nuScenes (`vehicle.car`, `human.pedestrian.adult` ..; any other is of class 4, without a
+/// template and a drawn box), `size` (length, width, height) in meters, `global_from_box` `[4, 4]` in meters
+/// (x forward, y left, z up, origin at the center). Raises `ValueError` for sizes that are not positive and
+/// transforms that are not rigid.
 #[pyclass(frozen, module = "pskel")]
 #[derive(Clone)]
 pub(crate) struct Actor {
@@ -98,11 +99,12 @@ impl Actor {
     }
 }
 
-/// State of a scene at one instant: ego pose, cameras and actors. Immutable: methods return changed copies, and arrays are
-/// copies.
+/// State of a scene at one instant: ego pose, cameras and actors. Immutable: methods return changed copies,
+/// and arrays are copies.
 ///
-/// A new scene has no HD map. `ego` is `global_from_ego` `[4, 4]` in meters, `name` the folder name of its maps, `t_us` its
-/// time in microseconds. Raises `ValueError` if the name of a camera or a track occurs twice.
+/// A new scene has no HD map. `ego` is `global_from_ego` `[4, 4]` in meters, `name` the folder name of its
+/// maps, `t_us` its time in microseconds. Raises `ValueError` if the name of a camera or a track occurs
+/// twice.
 #[pyclass(frozen, module = "pskel")]
 pub(crate) struct Scene {
     pub(crate) inner: Arc<SceneState>,

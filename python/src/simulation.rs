@@ -26,16 +26,16 @@ self_cell!(
     }
 );
 
-/// Closed-loop simulation: ego and actors move step by step. As an iterator it yields the observation of each planning
-/// step; with `ego="caller"`, call `act` before the next one. An ego that does not follow the log drives on after its end
-/// (`is_beyond_log`).
+/// Closed-loop simulation: ego and actors move step by step. As an iterator it yields the observation of each
+/// planning step; with `ego="caller"`, call `act` before the next one. An ego that does not follow the log
+/// drives on after its end (`is_beyond_log`).
 ///
 /// - `ego`: caller, replay, straight, cosine, right_then_back or lane_change.
 /// - `actors`: replay, idm or reactive.
 /// - `steps`: number of simulation steps, at least 1.
 /// - `tracking` of plans by the ego: perfect or bicycle.
-/// - `sim_hz`, `plan_hz`: simulation and planning steps per second, the first a multiple of the second; by default 12 and 2
-///   for nuScenes, 10 and 5 for other logs.
+/// - `sim_hz`, `plan_hz`: simulation and planning steps per second, the first a multiple of the second; by
+///   default 12 and 2 for nuScenes, 10 and 5 for other logs.
 /// - `warmup_frames`: the first (N - 1) `sim_hz` / `plan_hz` steps follow the log.
 /// - `start_us`: start time, microseconds; by default that of the first frame.
 /// - `seed`: part of the saved state; these policies use no random numbers.
@@ -130,8 +130,8 @@ impl Simulation {
         Ok(Committed { inner: step.map(|()| scene) })
     }
 
-    /// Predicts the scenes of the next planning steps: the ego follows the rest of its plan, the actors their policy. Fewer if
-    /// the log ends and the ego follows it.
+    /// Predicts the scenes of the next planning steps: the ego follows the rest of its plan, the actors their
+    /// policy. Fewer if the log ends and the ego follows it.
     fn forecast(&self, py: Python<'_>, count: usize) -> PyResult<Vec<Forecast>> {
         let scenes = self.read(py, |simulation, log| {
             let of = |instant: &pskel_sim::Forecast<Instant>| scene(log, instant.get());
@@ -184,9 +184,10 @@ impl Simulation {
         self.read(py, |simulation, _| Ok(simulation.rates().plan_hz.recip()))
     }
 
-    /// Sets the plan of an ego with `ego="caller"`: waypoints `[N, 3]` (x and y in meters, heading in radians) every `dt`
-    /// seconds from now, or `[N, 5]` (time in seconds, x, y, heading, speed in meters per second). `frame`: `ego` or
-    /// `global`. Raises `ValueError` for a plan that is invalid, too short, or not needed.
+    /// Sets the plan of an ego with `ego="caller"`: waypoints `[N, 3]` (x and y in meters, heading in
+    /// radians) every `dt` seconds from now, or `[N, 5]` (time in seconds, x, y, heading, speed in meters per
+    /// second). `frame`: `ego` or `global`. Raises `ValueError` for a plan that is invalid, too short, or not
+    /// needed.
     #[pyo3(signature = (waypoints, *, dt=0.5, frame="ego"))]
     fn act(&self, py: Python<'_>, waypoints: Numbers<'_>, dt: f64, frame: &str) -> PyResult<()> {
         let view = waypoints.as_array();
@@ -213,8 +214,8 @@ impl Simulation {
         })
     }
 
-    /// Computes and commits the next step. Returns `False` once the simulation is over. Raises `SimulationError` if a plan
-    /// is missing.
+    /// Computes and commits the next step. Returns `False` once the simulation is over. Raises
+    /// `SimulationError` if a plan is missing.
     fn step(&self, py: Python<'_>) -> PyResult<bool> {
         self.change(py, |simulation, _, _| Ok(simulation.step().map_err(raise_sim)?.is_some()))
     }

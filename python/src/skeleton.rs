@@ -34,11 +34,11 @@ impl Skeleton {
         Ok(Self { inner })
     }
 
-    /// Writes a skeleton of your own points: `background` `[N, 6]` (global x, y, z in meters; red, green, blue of 0 to 255)
-    /// or `[N, 7]` (and class); `assets` by track: category, box size (length, width, height in meters), and points in the
-    /// frame of the box. `log` is its name in `logs`. The points of the background are stored in cubes, in another order;
-    /// those of an asset keep theirs. An existing skeleton is replaced. Raises `ValueError` for invalid points,
-    /// `BuildError` if the folder cannot be written.
+    /// Writes a skeleton of your own points: `background` `[N, 6]` (global x, y, z in meters; red, green,
+    /// blue of 0 to 255) or `[N, 7]` (and class); `assets` by track: category, box size (length, width,
+    /// height in meters), and points in the frame of the box. `log` is its name in `logs`. The points of the
+    /// background are stored in cubes, in another order; those of an asset keep theirs. An existing skeleton
+    /// is replaced. Raises `ValueError` for invalid points, `BuildError` if the folder cannot be written.
     #[staticmethod]
     #[pyo3(signature = (path, background, assets=None, *, log="points"))]
     fn from_points(

@@ -13,11 +13,11 @@ use crate::maps::dictionary;
 use crate::points::placed;
 use crate::pool::detached;
 
-/// Splats points `[N, 6]` (x, y, z in meters; red, green, blue of 0 to 255) or `[N, 7]` (and class) into cameras:
-/// `intrinsics` `[V, 3, 3]` in pixels, `camera_from_world` `[V, 4, 4]` in meters, all of one `size` (height, width).
-/// Returns color, depth, class and point maps. Colors of 0 to 1 with fractions are scaled, and points more than 16 km from
-/// most others are off by more than 0.5 mm, both with a `UserWarning`. Raises `ValueError` for invalid arrays, `TypeError`
-/// for masked values, `RenderError` without a device.
+/// Splats points `[N, 6]` (x, y, z in meters; red, green, blue of 0 to 255) or `[N, 7]` (and class) into
+/// cameras: `intrinsics` `[V, 3, 3]` in pixels, `camera_from_world` `[V, 4, 4]` in meters, all of one `size`
+/// (height, width). Returns color, depth, class and point maps. Colors of 0 to 1 with fractions are scaled,
+/// and points more than 16 km from most others are off by more than 0.5 mm, both with a `UserWarning`. Raises
+/// `ValueError` for invalid arrays, `TypeError` for masked values, `RenderError` without a device.
 #[pyfunction]
 #[pyo3(signature = (points, intrinsics, camera_from_world, size, *, schedule="15:2,35:1,100:0", rasterizer="auto"))]
 pub(crate) fn splat<'py>(

@@ -1,4 +1,5 @@
-//! `C.json`: `{"cameras": [{"name", "width", "height", "intrinsics": 3x3, "camera_from_world": 4x4}]}`, row-major.
+//! `C.json`: `{"cameras": [{"name", "width", "height", "intrinsics": 3x3, "camera_from_world": 4x4}]}`,
+//! row-major.
 
 use std::path::{Path, PathBuf};
 
@@ -66,8 +67,9 @@ struct RawCamera {
 /// Reads a list of at least one camera.
 ///
 /// # Errors
-/// Fails if the file is missing, its JSON has another layout, or the list is empty. Fails if a name is not a valid
-/// `FileName` or repeats another (ignoring case), a size or intrinsics are invalid, or a pose is not rigid.
+/// Fails if the file is missing, its JSON has another layout, or the list is empty. Fails if a name is not a
+/// valid `FileName` or repeats another (ignoring case), a size or intrinsics are invalid, or a pose is not
+/// rigid.
 pub fn read(path: &Path) -> Result<Vec<View>, CamerasError> {
     let expected =
         r#"{"cameras": [{"name", "width", "height", "intrinsics": 3x3, "camera_from_world": 4x4}]}"#;

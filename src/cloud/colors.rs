@@ -97,7 +97,8 @@ impl ColorScale {
         self.max.floor()
     }
 
-    /// Returns the nearest level of a value; `None` if the value is out of range by more than half a level, or NaN.
+    /// Returns the nearest level of a value; `None` if the value is out of range by more than half a level,
+    /// or NaN.
     pub fn near_level(&self, value: f64) -> Option<u8> {
         let level = value * self.factor;
         self.level(value).or_else(|| (-0.5..255.5).contains(&level).then_some(level.round() as u8))

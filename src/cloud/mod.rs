@@ -1,10 +1,11 @@
 //! Point clouds in memory and on disk.
 //!
 //! # How it works
-//! [`Point`] is the only point layout, in host and device memory. Files of other tools ([`npy`], [`ply`]) are read
-//! row by row into a [`PointFile`]. It preserves the row order, subtracts an origin near most points before the
-//! coordinates become `f32` ([`origin_of`]), finds the range of the colors ([`ColorRange`]), and counts rows that cannot
-//! be rendered or lost precision. [`cameras`] reads the views for rendering a bare cloud.
+//! [`Point`] is the only point layout, in host and device memory. Files of other tools ([`npy`], [`ply`]) are
+//! read row by row into a [`PointFile`]. It preserves the row order, subtracts an origin near most points
+//! before the coordinates become `f32` ([`origin_of`]), finds the range of the colors ([`ColorRange`]), and
+//! counts rows that cannot be rendered or lost precision. [`cameras`] reads the views for rendering a bare
+//! cloud.
 
 pub mod cameras;
 mod colors;

@@ -22,12 +22,12 @@ use crate::memory::{Need, reserve};
 /// Rows per block.
 const BLOCK_ROWS: usize = 1 << 16;
 
-/// Reads a cloud of `f16`, `f32` or `f64` (little-endian). Rounds colors to the nearest level; colors of 0 to 1 are scaled
-/// if some are fractions. The class is 0 without column 7.
+/// Reads a cloud of `f16`, `f32` or `f64` (little-endian). Rounds colors to the nearest level; colors of 0 to
+/// 1 are scaled if some are fractions. The class is 0 without column 7.
 ///
 /// # Errors
-/// Fails if the file cannot be read, its dtype, shape or order is unsupported, it has no points, or data is missing.
-/// Fails if a color is outside 0–255 or a class is not an integer of 0–255.
+/// Fails if the file cannot be read, its dtype, shape or order is unsupported, it has no points, or data is
+/// missing. Fails if a color is outside 0–255 or a class is not an integer of 0–255.
 pub fn read(path: &Path) -> Result<PointFile, FileError> {
     let (file, file_bytes) = open_regular(path)?;
     decode(BufReader::with_capacity(1 << 20, file), file_bytes, path)
@@ -157,11 +157,12 @@ fn check_header(header: &NpyHeader, path: &Path) -> Result<(Scalar, u64, usize),
     Ok((scalar, rows, columns))
 }
 
-/// Reads features `[N, D]` of `f32` or `f64` (little-endian, C order). Returns D and the numbers in row-major order.
-/// The declared size is compared with the file's and with the memory before anything is allocated.
+/// Reads features `[N, D]` of `f32` or `f64` (little-endian, C order). Returns D and the numbers in row-major
+/// order. The declared size is compared with the file's and with the memory before anything is allocated.
 ///
 /// # Errors
-/// Fails if the file cannot be read, its dtype, shape or order is unsupported, data is missing, or memory is insufficient.
+/// Fails if the file cannot be read, its dtype, shape or order is unsupported, data is missing, or memory is
+/// insufficient.
 pub fn read_features(path: &Path) -> Result<(usize, Vec<f64>), FileError> {
     let (file, bytes) = open_regular(path)?;
     let mut reader = BufReader::new(file);

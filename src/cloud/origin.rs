@@ -1,14 +1,15 @@
 //! Origin that is subtracted from `f64` positions before they become `f32`.
 //!
 //! # How it works
-//! Positions vote for cells of [`CELL_M`]. The origin is the first position in the cell with the most votes, in whole
-//! meters, so neither a single point nor a run of equal points (invalid returns at a constant position) can move it.
-//! A map of bounded size counts the votes (Misra–Gries), so that scattered points cannot fill the memory.
+//! Positions vote for cells of [`CELL_M`]. The origin is the first position in the cell with the most votes,
+//! in whole meters, so neither a single point nor a run of equal points (invalid returns at a constant
+//! position) can move it. A map of bounded size counts the votes (Misra–Gries), so that scattered points
+//! cannot fill the memory.
 //!
 //! # Precision
-//! Rounding a coordinate to `f32` at distance d from the origin changes it by at most d · 2⁻²⁴: 0.25 mm within the
-//! winning cell, 0.5 mm up to [`PRECISE_WITHIN_M`], and 0.06 mm per kilometer beyond. [`Precision`] counts the points
-//! beyond.
+//! Rounding a coordinate to `f32` at distance d from the origin changes it by at most d · 2⁻²⁴: 0.25 mm
+//! within the winning cell, 0.5 mm up to [`PRECISE_WITHIN_M`], and 0.06 mm per kilometer beyond.
+//! [`Precision`] counts the points beyond.
 
 use glam::DVec3;
 use rustc_hash::FxHashMap;
@@ -22,8 +23,9 @@ pub const PRECISE_WITHIN_M: f64 = 16_384.0;
 /// Maximum number of cells counted at a time.
 const MAX_CELLS: usize = 4096;
 
-/// Returns the origin for positions in meters: near most of them, in whole meters. Zero if most lie within 4096 m of
-/// zero. Positions that are not finite, beyond every place on Earth, or exactly zero (invalid returns) do not count.
+/// Returns the origin for positions in meters: near most of them, in whole meters. Zero if most lie within
+/// 4096 m of zero. Positions that are not finite, beyond every place on Earth, or exactly zero (invalid
+/// returns) do not count.
 pub fn origin_of(positions: impl IntoIterator<Item = DVec3>) -> DVec3 {
     let mut votes = Votes::default();
     positions.into_iter().for_each(|position| votes.add(position));
@@ -102,8 +104,8 @@ impl Precision {
         }
     }
 
-    /// Returns a sentence on the far points; `None` without any. `origin` is what was subtracted, in meters, of
-    /// positions in double precision.
+    /// Returns a sentence on the far points; `None` without any. `origin` is what was subtracted, in meters,
+    /// of positions in double precision.
     pub fn note(&self, points: usize, origin: Option<DVec3>) -> Option<String> {
         let Self { far_points, error_m } = self;
         let from = match origin {

@@ -11,8 +11,8 @@ use crate::memory::{Need, Reservation, reserve};
 /// Points of a file in row order: point `i` is row `i`.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct PointFile {
-    /// Points relative to [`PointFile::origin`]. A row with a non-finite coordinate has NaN in all three and is never
-    /// rendered.
+    /// Points relative to [`PointFile::origin`]. A row with a non-finite coordinate has NaN in all three and
+    /// is never rendered.
     pub points: Vec<Point>,
     /// Origin subtracted from the coordinates before conversion to `f32`, meters: that of
     /// [`origin_of`](super::origin_of). Nonzero only for double precision far from zero.
@@ -21,8 +21,8 @@ pub struct PointFile {
     pub non_finite: usize,
     /// Points whose coordinates lost more than 0.5 mm.
     pub precision: Precision,
-    /// Sentences on content that is not plainly as the format says: scaled, renamed or missing colors, and points
-    /// that lost precision.
+    /// Sentences on content that is not plainly as the format says: scaled, renamed or missing colors, and
+    /// points that lost precision.
     pub notes: Vec<String>,
 }
 
@@ -60,11 +60,12 @@ pub(super) struct RowFormat<'a> {
 /// Function that takes a row and returns whether it wants more.
 pub(super) type Visit<'v> = dyn FnMut(&Row) -> Result<bool, FileError> + 'v;
 
-/// Validates and converts the rows of a file. `each` passes all rows in order to a function, as long as it wants more.
-/// It is called twice, since the origin and the range of colors depend on all rows.
+/// Validates and converts the rows of a file. `each` passes all rows in order to a function, as long as it
+/// wants more. It is called twice, since the origin and the range of colors depend on all rows.
 ///
 /// # Errors
-/// Returns any error of `each`. Fails if the points do not fit into memory, or if a color or a class is out of range.
+/// Returns any error of `each`. Fails if the points do not fit into memory, or if a color or a class is out
+/// of range.
 pub(super) fn collect(
     format: &RowFormat<'_>,
     mut each: impl FnMut(&mut Visit<'_>) -> Result<(), FileError>,

@@ -28,13 +28,13 @@ const HEIGHT: u32 = 900;
 /// Bits of a sort key that hold the point's index; a key of [`Site::cell`] has 18.
 const NUMBER_BITS: u32 = 46;
 
-/// Generates the benchmark cloud with any number of points: a street 200 m long in random colors. Three of five
-/// points lie on the ground, up to 40 m to both sides and denser towards the middle. The others lie on two wavy rows
-/// of facades 7 to 20 m away and up to 15 m high, denser towards the bottom. Points are in Morton order of half-meter
-/// cells, as in clouds merged by voxel. Their class is 0.
+/// Generates the benchmark cloud with any number of points: a street 200 m long in random colors. Three of
+/// five points lie on the ground, up to 40 m to both sides and denser towards the middle. The others lie on
+/// two wavy rows of facades 7 to 20 m away and up to 15 m high, denser towards the bottom. Points are in
+/// Morton order of half-meter cells, as in clouds merged by voxel. Their class is 0.
 ///
-/// The same seed gives the same points for any number of threads. Peak memory is [`POINT_BYTES`] per point, 16 of them
-/// for the result.
+/// The same seed gives the same points for any number of threads. Peak memory is [`POINT_BYTES`] per point,
+/// 16 of them for the result.
 pub fn street_cloud(points: usize, seed: u64) -> Vec<Point> {
     let key = |number: usize| Site::new(number as u64, seed).cell() << NUMBER_BITS | number as u64;
     let mut order: Vec<u64> = (0..points).into_par_iter().map(key).collect();
@@ -44,8 +44,8 @@ pub fn street_cloud(points: usize, seed: u64) -> Vec<Point> {
     order.par_iter().map(point).collect()
 }
 
-/// Returns six cameras of 900x1600 pixels that cover all directions from 1.5 m above the middle of the street of
-/// [`street_cloud`].
+/// Returns six cameras of 900x1600 pixels that cover all directions from 1.5 m above the middle of the street
+/// of [`street_cloud`].
 pub fn street_views() -> Vec<View> {
     CAMERAS.iter().filter_map(|&(name, yaw_deg, focal_px)| view(name, yaw_deg, focal_px)).collect()
 }
@@ -195,7 +195,8 @@ mod tests {
         assert!(points.iter().all(|p| p.class() == 0));
     }
 
-    /// Compares with values from the script that generates the street for the renderers in the speed comparison.
+    /// Compares with values from the script that generates the street for the renderers in the speed
+    /// comparison.
     #[test]
     fn cameras_stand_where_the_peers_have_them() {
         let views = street_views();

@@ -1,4 +1,5 @@
-//! Maps as arrays over all cameras, the form that [`npz`](super::npz) and [`safetensors`](super::safetensors) store.
+//! Maps as arrays over all cameras, the form that [`npz`](super::npz) and [`safetensors`](super::safetensors)
+//! store.
 
 use std::borrow::Cow;
 use std::path::Path;
@@ -53,7 +54,8 @@ fn check_sizes(set: &ConditionSet, path: &Path) -> Result<(), ConditionError> {
     }
 }
 
-/// Position of the channels in an array's shape (cameras not counted): none, before, or after height and width.
+/// Position of the channels in an array's shape (cameras not counted): none, before, or after height and
+/// width.
 #[derive(Clone, Copy)]
 enum Channels {
     None,

@@ -1,5 +1,5 @@
-//! Depth bins: depth as one of `n` classes, linear or logarithmic, computed in `f32` as the condition contract
-//! requires.
+//! Depth bins: depth as one of `n` classes, linear or logarithmic, computed in `f32` as the condition
+//! contract requires.
 
 use serde::{Deserialize, Serialize};
 
@@ -34,12 +34,13 @@ impl Default for DepthBins {
     }
 }
 
-/// Keeps denominators off zero. Added to 32 or more it vanishes in `f32`, so depths at such a `far_m` get bin `n`.
+/// Keeps denominators off zero. Added to 32 or more it vanishes in `f32`, so depths at such a `far_m` get bin
+/// `n`.
 const EPSILON: f32 = 1e-6;
 
 impl DepthBins {
-    /// Returns the bin of a camera depth in meters: 1 to `count`, or 0 for an empty pixel (infinite, NaN, or not
-    /// positive, as the −300 in files).
+    /// Returns the bin of a camera depth in meters: 1 to `count`, or 0 for an empty pixel (infinite, NaN, or
+    /// not positive, as the −300 in files).
     #[inline]
     pub fn bin(&self, depth_m: f32) -> u16 {
         if !(depth_m.is_finite() && depth_m > 0.0) {
@@ -75,8 +76,8 @@ impl DepthBins {
         bin * (u16::MAX / self.count)
     }
 
-    /// Returns the color of every bin (`count + 1` colors): black for 0, then the TURBO colormap at `(bin − 1) /
-    /// (count − 1)`.
+    /// Returns the color of every bin (`count + 1` colors): black for 0, then the TURBO colormap at `(bin −
+    /// 1) / (count − 1)`.
     pub fn colors(&self) -> Vec<[u8; 3]> {
         use colorgrad::Gradient;
         let turbo = colorgrad::preset::turbo();
@@ -88,7 +89,8 @@ impl DepthBins {
     }
 }
 
-/// `ln(1 + x)` in `f64`, rounded once to `f32`, so that the result does not depend on the platform's `log1pf`.
+/// `ln(1 + x)` in `f64`, rounded once to `f32`, so that the result does not depend on the platform's
+/// `log1pf`.
 fn ln_1p(x: f32) -> f32 {
     f64::from(x).ln_1p() as f32
 }

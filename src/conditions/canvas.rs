@@ -21,7 +21,8 @@ impl Canvas {
         Self { size, pixels: vec![rgb; size.pixels()] }
     }
 
-    /// Applies a function to every pixel of a rectangle; the function also gets the position within the rectangle.
+    /// Applies a function to every pixel of a rectangle; the function also gets the position within the
+    /// rectangle.
     pub fn map(
         &mut self,
         [left, top]: [u32; 2],
@@ -49,7 +50,8 @@ impl Canvas {
         rows.skip(top as usize).take(size.height as usize).map(move |row| &mut row[columns.clone()])
     }
 
-    /// Draws ASCII text with `at` as its upper left corner; other characters become `?`. Returns the width, pixels.
+    /// Draws ASCII text with `at` as its upper left corner; other characters become `?`. Returns the width,
+    /// pixels.
     pub fn text(&mut self, [left, top]: [u32; 2], scale: u32, rgb: [u8; 3], text: &str) -> u32 {
         let side = GLYPH * scale;
         let cell = ImageSize { height: side, width: side };

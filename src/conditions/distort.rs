@@ -1,10 +1,10 @@
 //! Lens distortion of condition maps, so that they match recorded images.
 //!
 //! # How it works
-//! Rasterizers render pinhole images. A lens shows other parts of the world, so the pinhole image is enlarged, at the
-//! same focal length, until it covers everything that the lens shows. Every pixel of the distorted map then takes the
-//! pinhole pixel that its center's ray hits. This is nearest sampling for all maps, because a mean of depths or of
-//! instance numbers is meaningless. Reductions follow.
+//! Rasterizers render pinhole images. A lens shows other parts of the world, so the pinhole image is
+//! enlarged, at the same focal length, until it covers everything that the lens shows. Every pixel of the
+//! distorted map then takes the pinhole pixel that its center's ray hits. This is nearest sampling for all
+//! maps, because a mean of depths or of instance numbers is meaningless. Reductions follow.
 
 use std::sync::Arc;
 
@@ -22,8 +22,8 @@ const MOST_GROWTH: u32 = 4;
 /// Memory per pixel while a warp is computed: its ray, and its entry in the table.
 const RAY_BYTES: u64 = (size_of::<Option<DVec2>>() + size_of::<u32>()) as u64;
 
-/// Distorts the maps of a sequence of steps; the warp of a camera is computed once and reused while the cameras stay
-/// the same.
+/// Distorts the maps of a sequence of steps; the warp of a camera is computed once and reused while the
+/// cameras stay the same.
 #[derive(Clone, Debug)]
 pub struct Distorter {
     options: ConditionOptions,
@@ -61,7 +61,8 @@ impl Distorter {
     pub fn pinholes(&mut self, state: &SceneState) -> Result<PinholeStep, ConditionError> {
         let mut state = state.clone();
         let mut warps = Vec::with_capacity(state.cameras.len());
-        // Pinhole images are drawn at the scale of the recorded ones, and are larger where the lens shows more.
+        // Pinhole images are drawn at the scale of the recorded ones, and are larger where the lens shows
+        // more.
         let line_scales = state.cameras.iter().map(|camera| self.options.line_scale(&camera.view)).collect();
         for camera in &mut state.cameras {
             let drawn = self.options.drawn_view(&camera.view).camera;
@@ -116,7 +117,8 @@ struct Warp {
     pinhole: Camera,
     /// Size of the distorted image.
     size: ImageSize,
-    /// For each pixel of the distorted image, the index of the pinhole pixel; `None` if the images are the same.
+    /// For each pixel of the distorted image, the index of the pinhole pixel; `None` if the images are the
+    /// same.
     sources: Option<Vec<u32>>,
 }
 
@@ -183,8 +185,8 @@ impl Warp {
     }
 }
 
-/// Returns, for the center of every pixel in row-major order, where a pinhole camera of the same intrinsics sees the
-/// point that the lens shows; `None` if the lens shows nothing there.
+/// Returns, for the center of every pixel in row-major order, where a pinhole camera of the same intrinsics
+/// sees the point that the lens shows; `None` if the lens shows nothing there.
 fn rays(camera: &Camera, lens: &Lens) -> Vec<Option<DVec2>> {
     let camera_from_image = camera.intrinsics.inverse();
     let ray = |pixel: u32| {

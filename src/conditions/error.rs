@@ -50,7 +50,8 @@ pub enum ConditionError {
         /// Maximum enlargement of a side.
         growth: u32,
     },
-    /// A color filter that leaves empty pixels out was requested for distorted maps, which do not record which pixels are empty.
+    /// A color filter that leaves empty pixels out was requested for distorted maps, which do not record
+    /// which pixels are empty.
     #[error("expected bilinear color for distorted maps, found a filter that leaves empty pixels out")]
     DistortedArea,
     /// A number exceeds the range of the file's pixels.

@@ -1,9 +1,9 @@
-//! EXR writer, `FRAME/CAM/MAP.exr`: color, boxes and map as `R G B` f32 (level / 255), depth as `Z` f32 meters (−300
-//! where empty), class, instance and point as one u32 channel with the map's name.
+//! EXR writer, `FRAME/CAM/MAP.exr`: color, boxes and map as `R G B` f32 (level / 255), depth as `Z` f32
+//! meters (−300 where empty), class, instance and point as one u32 channel with the map's name.
 //!
-//! All but RGB have the same samples in a second channel `Y`: OpenCV reads a lone `Z` as zeros, and no file without
-//! `Y` or RGB. It converts numbers to f32, so a map with larger numbers than f32 can hold has no `Y`: OpenCV then
-//! refuses the file instead of returning other numbers.
+//! All but RGB have the same samples in a second channel `Y`: OpenCV reads a lone `Z` as zeros, and no file
+//! without `Y` or RGB. It converts numbers to f32, so a map with larger numbers than f32 can hold has no `Y`:
+//! OpenCV then refuses the file instead of returning other numbers.
 
 use std::path::Path;
 

@@ -26,8 +26,8 @@ impl MapFormat {
     /// Writes the maps of a step into its folder.
     ///
     /// # Errors
-    /// Returns an error if a file cannot be written, if a number does not fit into the format, or if the cameras
-    /// differ in size and the format stores them in one array.
+    /// Returns an error if a file cannot be written, if a number does not fit into the format, or if the
+    /// cameras differ in size and the format stores them in one array.
     pub fn write(
         self,
         folder: &Path,

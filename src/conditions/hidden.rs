@@ -1,5 +1,5 @@
-//! Points that a nearer surface would hide if its points were dense: the gaps between the points of a near surface show
-//! the surface behind it.
+//! Points that a nearer surface would hide if its points were dense: the gaps between the points of a near
+//! surface show the surface behind it.
 
 use crate::geometry::ImageSize;
 
@@ -7,13 +7,15 @@ use crate::geometry::ImageSize;
 const TOLERANCE: f32 = 0.1;
 /// Distance by which it may lie behind it in addition, meters.
 const TOLERANCE_M: f32 = 0.3;
-/// Vertical radius of the opening relative to the horizontal one: scan lines are farther apart than the columns of a sweep.
+/// Vertical radius of the opening relative to the horizontal one: scan lines are farther apart than the
+/// columns of a sweep.
 const HEIGHT: usize = 2;
 
-/// Returns the depths `[H, W]` (`f32::INFINITY` where empty) without those of hidden pixels, which become empty. The
-/// surface in front of a pixel is the morphological opening of depth by a rectangle of `2 radius + 1` columns and
-/// `4 radius + 1` rows: the farthest of the nearest depths of all rectangles, around pixels of the image, that contain the
-/// pixel. A pixel is thus hidden only if every such rectangle contains something nearer.
+/// Returns the depths `[H, W]` (`f32::INFINITY` where empty) without those of hidden pixels, which become
+/// empty. The surface in front of a pixel is the morphological opening of depth by a rectangle of `2 radius +
+/// 1` columns and `4 radius + 1` rows: the farthest of the nearest depths of all rectangles, around pixels of
+/// the image, that contain the pixel. A pixel is thus hidden only if every such rectangle contains something
+/// nearer.
 pub(super) fn without_hidden(depth_m: &[f32], size: ImageSize, radius: usize) -> Vec<f32> {
     let width = size.width as usize;
     let radii = [radius, HEIGHT * radius];
@@ -25,8 +27,8 @@ pub(super) fn without_hidden(depth_m: &[f32], size: ImageSize, radius: usize) ->
     depth_m.iter().zip(front).map(shown).collect()
 }
 
-/// Returns the least or greatest value of the rectangle around each pixel, with its radii along rows and columns, as far as
-/// it lies inside the image.
+/// Returns the least or greatest value of the rectangle around each pixel, with its radii along rows and
+/// columns, as far as it lies inside the image.
 fn extrema(values: &[f32], width: usize, radii: [usize; 2], of: fn(f32, f32) -> f32) -> Vec<f32> {
     let rows = |values: &[f32]| -> Vec<f32> {
         values.chunks(width).flat_map(|row| along(row, 1, radii[0], of)).collect()
@@ -34,7 +36,8 @@ fn extrema(values: &[f32], width: usize, radii: [usize; 2], of: fn(f32, f32) -> 
     along(&rows(values), width, radii[1], of)
 }
 
-/// Returns the least or greatest of the values at up to `radius` multiples of `stride` before and behind each place.
+/// Returns the least or greatest of the values at up to `radius` multiples of `stride` before and behind each
+/// place.
 fn along(values: &[f32], stride: usize, radius: usize, of: fn(f32, f32) -> f32) -> Vec<f32> {
     let mut result = values.to_vec();
     for shift in (1..=radius).map(|i| i * stride).take_while(|shift| *shift < values.len()) {
@@ -78,7 +81,8 @@ mod tests {
         assert_eq!(shown(&[6.0, 6.9, 6.8, 7.5, 6.0], 1, 2), [true, true, true, false, true]);
     }
 
-    /// By the definition, pixel by pixel: the farthest of the nearest depths of all rectangles that contain the pixel.
+    /// By the definition, pixel by pixel: the farthest of the nearest depths of all rectangles that contain
+    /// the pixel.
     #[test]
     fn the_surface_in_front_is_the_opening() {
         let (height, width, radius) = (13_usize, 13_usize, 2_usize);
@@ -104,7 +108,8 @@ mod tests {
     #[test]
     fn slanted_surfaces_and_lone_points_are_visible() {
         let ground: Vec<f32> = (0..40).map(|i| 40.0 / (1.0 + i as f32 * 0.05)).collect();
-        // At the border all rectangles reach 4 rows inward, where this slope is nearer by more than the tolerance.
+        // At the border all rectangles reach 4 rows inward, where this slope is nearer by more than the
+        // tolerance.
         let visible: Vec<bool> = (0..40).map(|row| row > 1).collect();
         assert_eq!(shown(&ground, 40, 2), visible);
         let lone = [EMPTY, EMPTY, 50.0, EMPTY, EMPTY, 3.0, EMPTY];

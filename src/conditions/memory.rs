@@ -6,7 +6,8 @@ use crate::geometry::{ImageSize, View};
 use crate::memory::{MemoryError, Need, Reservation, reserve};
 use crate::raster::{frame_bytes, need_of_views};
 
-/// Memory of a color map that is rendered at full size, per pixel: the rasterizer's maps, the map itself, and what its filter needs.
+/// Memory of a color map that is rendered at full size, per pixel: the rasterizer's maps, the map itself, and
+/// what its filter needs.
 const FULL_COLOR_BYTES: u64 = 8 + 3 + 8;
 
 /// Maps that are being encoded take up to two thirds more (measured: EXR a byte more per 1.6 bytes, PNG and
@@ -44,8 +45,9 @@ pub(super) fn reserve_step(views: &[View], options: &ConditionOptions) -> Result
     reserve(bytes, || need(views, options, bytes))
 }
 
-/// Checks that the maps of some views and a rasterizer's memory for them fit into the budget together, before anything is taken.
-/// `has_map`: whether there is an HD map. Renderers check each step themselves, but only when it begins.
+/// Checks that the maps of some views and a rasterizer's memory for them fit into the budget together, before
+/// anything is taken. `has_map`: whether there is an HD map. Renderers check each step themselves, but only
+/// when it begins.
 ///
 /// # Errors
 /// Fails if they do not.

@@ -138,8 +138,9 @@ impl FrameMeta {
     }
 }
 
-/// Returns for each camera its neighbors in the ring around the ego: left, itself, right. The ring orders the optical
-/// axes by their angle in the ego frame. With fewer than three cameras an index occurs more than once.
+/// Returns for each camera its neighbors in the ring around the ego: left, itself, right. The ring orders the
+/// optical axes by their angle in the ego frame. With fewer than three cameras an index occurs more than
+/// once.
 pub(crate) fn ring_neighbours(cameras: &[SceneCamera]) -> Vec<[usize; 3]> {
     let angle = |camera: &SceneCamera| {
         let world_from_camera: DAffine3 = camera.view.camera_from_world.inverse();

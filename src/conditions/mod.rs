@@ -2,13 +2,13 @@
 //!
 //! # How it works
 //! [`render()`] splats the color and the geometry cloud of the condition contract
-//! ([`SceneInstances`](crate::scene::SceneInstances)) into every camera, draws the layouts of boxes and HD map, and
-//! reduces the maps to the model's size ([`reduce`]). [`distort`] applies the lens distortion of recorded images.
-//! [`tensor`] encodes the maps as network input. In memory an empty depth is `f32::INFINITY`; −300 occurs only in
-//! files.
+//! ([`SceneInstances`](crate::scene::SceneInstances)) into every camera, draws the layouts of boxes and HD
+//! map, and reduces the maps to the model's size ([`reduce`]). [`distort`] applies the lens distortion of
+//! recorded images. [`tensor`] encodes the maps as network input. In memory an empty depth is
+//! `f32::INFINITY`; −300 occurs only in files.
 //!
-//! Writers: [`png`], [`exr`], [`npz`], [`safetensors`], the contact [`sheet`], the bird's-eye view ([`birdseye`]) and
-//! the metadata ([`meta`]). See `docs/CONDITIONS.md` for the map definitions.
+//! Writers: [`png`], [`exr`], [`npz`], [`safetensors`], the contact [`sheet`], the bird's-eye view
+//! ([`birdseye`]) and the metadata ([`meta`]). See `docs/CONDITIONS.md` for the map definitions.
 
 mod arrays;
 pub mod bins;

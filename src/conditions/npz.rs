@@ -1,8 +1,9 @@
-//! NPZ writer, `maps.npz`: one array per map, `[V, H, W]` or `[V, H, W, 3]`, views in the set's order, −300 for empty
-//! depth; two arrays for the model tensor.
+//! NPZ writer, `maps.npz`: one array per map, `[V, H, W]` or `[V, H, W, 3]`, views in the set's order, −300
+//! for empty depth; two arrays for the model tensor.
 //!
 //! # How it works
-//! An NPZ is a ZIP of NPY files. All entries have the same timestamp and compression, so equal maps give equal bytes.
+//! An NPZ is a ZIP of NPY files. All entries have the same timestamp and compression, so equal maps give
+//! equal bytes.
 
 use std::io::{Cursor, Write};
 use std::path::Path;
@@ -19,12 +20,13 @@ use crate::files::{FileKind, write_whole};
 /// Deflate level; higher levels take several times longer for little gain on these maps.
 const LEVEL: i64 = 3;
 
-/// Archives of maps, of which the first is color. Those of NumPy have a field between the lengths and the name.
+/// Archives of maps, of which the first is color. Those of NumPy have a field between the lengths and the
+/// name.
 pub const COLOR_FIRST: FileKind =
     FileKind { name: "an archive of pskel", begin: b"PK\x03\x04", marks: &[b"\x09\0\0\0color.npy"] };
 
-/// Writes all maps of a step. Arrays have the names of the maps; the model tensor is `points` `[V, 20, H, W]` and
-/// `layout` `[V, 6, H, W]`.
+/// Writes all maps of a step. Arrays have the names of the maps; the model tensor is `points` `[V, 20, H, W]`
+/// and `layout` `[V, 6, H, W]`.
 ///
 /// # Errors
 /// Returns an error if the cameras differ in size or the file cannot be written.

@@ -6,8 +6,8 @@ use crate::geometry::{ImageSize, View};
 use crate::raster::{MapKind, MapSet, Occlusion, SplatSchedule};
 
 impl MapSet {
-    /// Adds the maps that the model tensor is encoded from, if it is requested; the map layout only if there is an HD
-    /// map.
+    /// Adds the maps that the model tensor is encoded from, if it is requested; the map layout only if there
+    /// is an HD map.
     pub fn with_parts(self, has_map: bool) -> Self {
         match self.contains(MapKind::Tensor) {
             true if has_map => {
@@ -62,7 +62,8 @@ pub struct ConditionOptions {
     pub depth_embedding: DepthEmbedding,
     /// How layouts are drawn.
     pub layout: LayoutStyle,
-    /// Scales of line widths by view, for views that are not those of the recorded images (see [`Self::line_scale`]).
+    /// Scales of line widths by view, for views that are not those of the recorded images (see
+    /// [`Self::line_scale`]).
     #[serde(skip)]
     pub line_scales: Option<Vec<f32>>,
 }
@@ -75,8 +76,8 @@ impl ConditionOptions {
         View { camera, camera_from_world: view.camera_from_world }
     }
 
-    /// Returns the width at which a view is drawn relative to that of its camera's own image, which scales the lines of
-    /// layouts.
+    /// Returns the width at which a view is drawn relative to that of its camera's own image, which scales
+    /// the lines of layouts.
     pub fn line_scale(&self, view: &View) -> f32 {
         self.drawn_view(view).camera.width as f32 / view.camera.width as f32
     }

@@ -1,9 +1,9 @@
 //! Pillow's BILINEAR: a triangle filter widened by the scale, so reductions are antialiased.
 //!
 //! # How it works
-//! Layouts are mostly black, and black pixels contribute nothing. So the image is passed row by row as colored spans,
-//! and only output pixels that overlap a span are computed: first horizontally, rounded to bytes, then vertically, in
-//! Pillow's fixed-point arithmetic. Only a few rows are in memory at a time.
+//! Layouts are mostly black, and black pixels contribute nothing. So the image is passed row by row as
+//! colored spans, and only output pixels that overlap a span are computed: first horizontally, rounded to
+//! bytes, then vertically, in Pillow's fixed-point arithmetic. Only a few rows are in memory at a time.
 
 use std::ops::Range;
 
@@ -19,7 +19,8 @@ const HALF: u64 = 1 << (PIL_BITS - 1);
 /// Shift of the second of two channels packed in one word.
 const SECOND: u32 = 32;
 
-/// Filter weights of one axis, in units of 1/2²². Windows advance monotonically and have the same number of weights.
+/// Filter weights of one axis, in units of 1/2²². Windows advance monotonically and have the same number of
+/// weights.
 #[derive(Clone, Debug)]
 struct Axis {
     /// First source index of each output.
@@ -72,7 +73,8 @@ fn words([r, g, b]: [u8; 3]) -> Words {
     [u64::from(r) | u64::from(g) << SECOND, u64::from(b)]
 }
 
-/// Weighted sum of pixels, rounded to bytes. Weights sum to about 2²², so no channel overflows into its neighbor.
+/// Weighted sum of pixels, rounded to bytes. Weights sum to about 2²², so no channel overflows into its
+/// neighbor.
 fn weighted<'a>(pixels: impl Iterator<Item = &'a Words>, weights: &[u64]) -> [u8; 3] {
     let mut sum = [HALF | HALF << SECOND, HALF];
     for (pixel, weight) in pixels.zip(weights) {

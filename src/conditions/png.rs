@@ -1,5 +1,5 @@
-//! PNG writer, `FRAME/CAM/MAP.png`: color, boxes and map as RGB, depth as 16-bit bins, class as 8-bit gray, instance
-//! and point as 16-bit gray.
+//! PNG writer, `FRAME/CAM/MAP.png`: color, boxes and map as RGB, depth as 16-bit bins, class as 8-bit gray,
+//! instance and point as 16-bit gray.
 
 use std::io::Write;
 use std::path::Path;
@@ -36,8 +36,8 @@ fn write_map(
     Ok(write_whole(path, |out| out.write_all(&bytes).map_err(FileError::io("write", path)))?)
 }
 
-/// Encodes one map; `None` if the camera has no such map, or if it is the model tensor, which is not an image. `path` is the
-/// file that errors name.
+/// Encodes one map; `None` if the camera has no such map, or if it is the model tensor, which is not an
+/// image. `path` is the file that errors name.
 ///
 /// # Errors
 /// Returns an error if an instance or point number exceeds 65535.
@@ -61,8 +61,8 @@ pub fn encode_map(
     Ok(encoded.transpose()?)
 }
 
-/// Returns the samples of a map of 16 bits: depth as bins over the whole range, instance and point numbers. `None` if the
-/// camera has no such map, or if it has other samples. `path` is the file that errors name.
+/// Returns the samples of a map of 16 bits: depth as bins over the whole range, instance and point numbers.
+/// `None` if the camera has no such map, or if it has other samples. `path` is the file that errors name.
 ///
 /// # Errors
 /// Returns an error if an instance or point number exceeds 65535.

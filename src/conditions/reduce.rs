@@ -21,8 +21,8 @@ fn spans(from: u32, to: u32) -> Vec<Vec<(usize, f64)>> {
     (0..to).map(span).collect()
 }
 
-/// Returns the area-weighted mean of the pixels with finite `depth_m` (not empty) under each output pixel; black if
-/// all are empty.
+/// Returns the area-weighted mean of the pixels with finite `depth_m` (not empty) under each output pixel;
+/// black if all are empty.
 pub fn valid_area(map: &[[u8; 3]], depth_m: &[f32], from: ImageSize, to: ImageSize) -> Vec<[u8; 3]> {
     let (rows, columns) = (spans(from.height, to.height), spans(from.width, to.width));
     let width = from.width as usize;

@@ -13,7 +13,8 @@ use crate::memory::Reservation;
 use crate::raster::{Crop, FrameJob, MapKind, MapSet, Rasterizer, SplatJob, ViewMaps, class_of, rgb_of};
 use crate::scene::{ActorState, SceneInstances, SceneMap, SceneState};
 
-/// Renders the maps of a step for all cameras, with clouds cropped to a square of `options.radius_m` around the ego.
+/// Renders the maps of a step for all cameras, with clouds cropped to a square of `options.radius_m` around
+/// the ego.
 ///
 /// # Errors
 /// Returns an error if the rasterizer fails, or if [`MapKind::Map`] is requested and the state has no HD map.
@@ -42,8 +43,8 @@ pub fn render_views(
     Points::begin(rasterizer, clouds, views, crop, options)?.finish(rasterizer)
 }
 
-/// Draws the layouts of a step ([`MapKind::Boxes`] and [`MapKind::Map`], as far as `options` requests them), without a
-/// rasterizer. Other maps are `None`.
+/// Draws the layouts of a step ([`MapKind::Boxes`] and [`MapKind::Map`], as far as `options` requests them),
+/// without a rasterizer. Other maps are `None`.
 ///
 /// # Errors
 /// Returns an error if [`MapKind::Map`] is requested and the state has no HD map.
@@ -212,8 +213,9 @@ fn fill(camera: &mut CameraConditions, maps: ViewMaps<'_>, options: &ConditionOp
     camera.point = wants(MapKind::Point).then(|| maps.point.into_owned());
 }
 
-/// Renders color reduced to the mean of the pixels that are not empty, or of those that are visible. The filter needs all pixels, so the map is
-/// rendered at full size and reduced here. Depth identifies empty pixels, since a point can be black.
+/// Renders color reduced to the mean of the pixels that are not empty, or of those that are visible. The
+/// filter needs all pixels, so the map is rendered at full size and reduced here. Depth identifies empty
+/// pixels, since a point can be black.
 fn mean_color(
     rasterizer: &mut dyn Rasterizer,
     job: &FrameJob<'_>,

@@ -3,8 +3,8 @@
 //!
 //! # How it works
 //! The file holds the length of its header, the JSON header, and the tensors one after the other. The crate
-//! `safetensors` builds and checks the header; tensors are written as they are in memory. Keys are sorted, so equal
-//! maps give equal bytes. Tensors of 4-byte numbers come first, which aligns all of them.
+//! `safetensors` builds and checks the header; tensors are written as they are in memory. Keys are sorted, so
+//! equal maps give equal bytes. Tensors of 4-byte numbers come first, which aligns all of them.
 
 use std::borrow::Cow;
 use std::collections::HashMap;
@@ -22,8 +22,8 @@ use crate::files::write_whole;
 /// The header's length is a multiple of this, to align the tensors.
 const ALIGNMENT: usize = 8;
 
-/// Writes all maps of a step at `t_us` (microseconds). The metadata holds `cameras` (a JSON list of names), `t_us`,
-/// `depth_bins` and, with model tensors, `depth_embedding`.
+/// Writes all maps of a step at `t_us` (microseconds). The metadata holds `cameras` (a JSON list of names),
+/// `t_us`, `depth_bins` and, with model tensors, `depth_embedding`.
 ///
 /// # Errors
 /// Returns an error if the cameras differ in size or the file cannot be written.

@@ -2,8 +2,8 @@
 //!
 //! # How it works
 //! Each map is a block with a title and a legend. In it, the cameras of a known surround rig are arranged by
-//! direction (front left, front, front right above back left, back, back right); other cameras are in rows of three.
-//! Numbers are shown as colors (`tile_colors`). Tiles are scaled down to at most [`TILE_WIDTH_PX`].
+//! direction (front left, front, front right above back left, back, back right); other cameras are in rows of
+//! three. Numbers are shown as colors (`tile_colors`). Tiles are scaled down to at most [`TILE_WIDTH_PX`].
 
 use std::path::Path;
 
@@ -85,7 +85,8 @@ pub fn draw(set: &ConditionSet, bins: &DepthBins, caption: &str) -> (ImageSize, 
     (canvas.size, canvas.pixels)
 }
 
-/// Draws one map of all cameras, with tiles at most `tile_width` pixels wide; returns its size and RGB pixels.
+/// Draws one map of all cameras, with tiles at most `tile_width` pixels wide; returns its size and RGB
+/// pixels.
 pub fn draw_map(
     set: &ConditionSet,
     kind: MapKind,
@@ -101,8 +102,8 @@ pub fn draw_map(
     (size, canvas.pixels)
 }
 
-/// Returns the size of the image that [`draw_map`] draws and each camera's rectangle in it: left, top, width, height,
-/// pixels.
+/// Returns the size of the image that [`draw_map`] draws and each camera's rectangle in it: left, top, width,
+/// height, pixels.
 pub fn places(set: &ConditionSet, tile_width: u32) -> (ImageSize, Vec<[u32; 4]>) {
     let grid = Grid::of(set, tile_width);
     let size = ImageSize { height: grid.height(), width: grid.width() };
@@ -217,8 +218,8 @@ fn draw_tile(
     }
 }
 
-/// Colors a map of numbers, reduced by nearest: depth with TURBO; class and instance with one color per number over
-/// the depth in dark gray.
+/// Colors a map of numbers, reduced by nearest: depth with TURBO; class and instance with one color per
+/// number over the depth in dark gray.
 fn tile_colors(
     camera: &CameraConditions,
     kind: MapKind,

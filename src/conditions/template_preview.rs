@@ -51,8 +51,8 @@ const RADII_AWAY: f64 = 8.0;
 /// Share of a view that the bounds fill.
 const FILLS: f64 = 0.85;
 
-/// Renders points from four sides, nearer points brighter: from the right, from above (front to the right), from the
-/// front right, and from behind left.
+/// Renders points from four sides, nearer points brighter: from the right, from above (front to the right),
+/// from the front right, and from behind left.
 fn draw(points: &[Point], bounds: &Bounds) -> Result<(Vec<[u8; 3]>, ImageSize), PreviewError> {
     let size = ImageSize { height: 2 * HEIGHT, width: 2 * WIDTH };
     let mut pixels = vec![[0; 3]; size.pixels()];
@@ -148,8 +148,8 @@ mod tests {
         let count = |xs: std::ops::Range<usize>, ys: std::ops::Range<usize>| {
             xs.flat_map(|x| ys.clone().map(move |y| (x, y))).filter(|(x, y)| lit(*x, *y)).count()
         };
-        // Seen from the right, the post rises at the right end. Seen from above, the left post points up from the
-        // middle.
+        // Seen from the right, the post rises at the right end. Seen from above, the left post points up from
+        // the middle.
         assert!(count(400..470, 100..170) > 50 && count(10..80, 100..170) == 0);
         assert!(count(690..750, 100..170) > 50 && count(880..950, 100..170) == 0);
         for (left, top) in [(0, 0), (480, 0), (0, 360), (480, 360)] {

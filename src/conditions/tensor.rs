@@ -1,9 +1,9 @@
 //! Network input: 20 channels of point conditions and 6 channels of layout.
 //!
 //! # How it works
-//! The depth channels depend only on the depth bin, so every possible value is computed once and looked up per pixel.
-//! The arithmetic is `f32` in the order of the condition contract (`docs/CONDITIONS.md`): near the highest frequency,
-//! another order differs by more than 10⁻⁵.
+//! The depth channels depend only on the depth bin, so every possible value is computed once and looked up
+//! per pixel. The arithmetic is `f32` in the order of the condition contract (`docs/CONDITIONS.md`): near the
+//! highest frequency, another order differs by more than 10⁻⁵.
 
 use rayon::prelude::*;
 use serde::Serialize;
@@ -71,7 +71,8 @@ impl ModelTensor {
 #[derive(Clone, Debug)]
 pub struct TensorEncoder {
     bins: DepthBins,
-    /// For each depth channel (1 + 8 + 8) its value at every bin (`count + 1` values); `None` for a channel of zeros.
+    /// For each depth channel (1 + 8 + 8) its value at every bin (`count + 1` values); `None` for a channel
+    /// of zeros.
     by_bin: Vec<Option<Vec<f32>>>,
 }
 
@@ -100,8 +101,8 @@ impl TensorEncoder {
         Self { bins, by_bin }
     }
 
-    /// Encodes point conditions `[20, H, W]` from color and camera depth in meters (infinite where empty), both `[H,
-    /// W]`.
+    /// Encodes point conditions `[20, H, W]` from color and camera depth in meters (infinite where empty),
+    /// both `[H, W]`.
     pub fn points(&self, color: &[[u8; 3]], depth_m: &[f32]) -> Vec<f32> {
         let bins: Vec<u16> = depth_m.par_iter().map(|depth_m| self.bins.bin(*depth_m)).collect();
         self.points_of_bins(color, &bins)

@@ -20,7 +20,8 @@ pub enum Class {
     None = 0,
     /// Vehicle with four or more wheels, including trailers.
     MotorVehicle = 1,
-    /// Person on foot, or pushing or riding something without pedals. In Argoverse 2 also the riders of cycles.
+    /// Person on foot, or pushing or riding something without pedals. In Argoverse 2 also the riders of
+    /// cycles.
     Pedestrian = 2,
     /// Bicycle or motorcycle.
     Cycle = 3,
@@ -43,8 +44,9 @@ use CategoryKind::{
 };
 
 impl CategoryKind {
-    /// Returns what a category stands for; `None` for unknown words. Upper case, spaces, `_`, `-`, `/`, `:`, plurals and remarks
-    /// in parentheses are ignored; between a group of nuScenes and the rest they stand for a dot.
+    /// Returns what a category stands for; `None` for unknown words. Upper case, spaces, `_`, `-`, `/`, `:`,
+    /// plurals and remarks in parentheses are ignored; between a group of nuScenes and the rest they stand
+    /// for a dot.
     pub(crate) fn of(category: &str) -> Option<Self> {
         Self::of_dotted(category).or_else(|| dotted(category).and_then(|category| Self::of_dotted(&category)))
     }
@@ -90,8 +92,8 @@ fn of_vehicle(word: &str) -> Option<CategoryKind> {
     of_word(word).filter(|_| !VAGUE.contains(&word))
 }
 
-/// Returns a category with dots in place of other separators after a group of nuScenes; `None` if it has none. A rest that is
-/// known as a whole stays whole, like `bicycle_rack`.
+/// Returns a category with dots in place of other separators after a group of nuScenes; `None` if it has
+/// none. A rest that is known as a whole stays whole, like `bicycle_rack`.
 fn dotted(category: &str) -> Option<String> {
     const SEPARATORS: [char; 5] = ['_', '/', ':', '-', ' '];
     let category = category.trim().to_lowercase();
@@ -116,8 +118,8 @@ fn of_word(word: &str) -> Option<CategoryKind> {
     exact(word).or_else(|| singular("s")).or_else(|| singular("es"))
 }
 
-/// Returns the color of a category's boxes in the layout image; `None` if they are not drawn. Source: condition
-/// contract, `docs/CONDITIONS.md`.
+/// Returns the color of a category's boxes in the layout image; `None` if they are not drawn. Source:
+/// condition contract, `docs/CONDITIONS.md`.
 pub fn layout_rgb(category: &str) -> Option<[u8; 3]> {
     match CategoryKind::of(category)? {
         Pedestrian => Some([255, 0, 0]),

@@ -21,8 +21,8 @@ const INTERVALS_US: std::ops::RangeInclusive<i64> = 2_000..=100_000_000;
 /// Units of time, each a thousandth of the one before.
 const UNITS: [&str; 4] = ["seconds", "milliseconds", "microseconds", "nanoseconds"];
 
-/// Unit of the times in the files of a format: an index in [`UNITS`]. All functions here take times in microseconds, to
-/// which the reader has converted them.
+/// Unit of the times in the files of a format: an index in [`UNITS`]. All functions here take times in
+/// microseconds, to which the reader has converted them.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Unit(usize);
 
@@ -31,8 +31,8 @@ impl Unit {
     #[cfg(feature = "av2")]
     pub(super) const NANOS: Self = Self(3);
 
-    /// Returns ` (UNIT instead of UNIT?)` if a file's time is one of the years 1980 to 2100 in another unit; otherwise nothing.
-    /// Clocks of GPS may begin in 1980.
+    /// Returns ` (UNIT instead of UNIT?)` if a file's time is one of the years 1980 to 2100 in another unit;
+    /// otherwise nothing. Clocks of GPS may begin in 1980.
     pub(super) fn hint(self, t_us: f64) -> String {
         const SECONDS: std::ops::RangeInclusive<f64> = 3.15e8..=4.2e9;
         let in_file = t_us * thousands(self.0 as i32 - 2);
@@ -153,8 +153,8 @@ pub(super) struct PoseTimes {
 
 #[cfg(any(feature = "nuscenes", feature = "nuplan"))]
 impl PoseTimes {
-    /// Compares the time of a pose with the time of its data, in microseconds. `names` returns the sensor, and the token of the
-    /// pose.
+    /// Compares the time of a pose with the time of its data, in microseconds. `names` returns the sensor,
+    /// and the token of the pose.
     pub(super) fn compare(&mut self, pose_us: i64, data_us: i64, names: impl FnOnce() -> [String; 2]) {
         if let Some(offset) = Offset::beyond(pose_us, data_us, NOTED_US) {
             let [sensor, token] = names();
@@ -176,8 +176,8 @@ impl PoseTimes {
     }
 }
 
-/// Times of key frames relative to their frames, by sensor. Only nuScenes links them; where they are found by time, they are
-/// near it.
+/// Times of key frames relative to their frames, by sensor. Only nuScenes links them; where they are found by
+/// time, they are near it.
 #[cfg(feature = "nuscenes")]
 #[derive(Debug, Default)]
 pub(super) struct KeyTimes(std::collections::BTreeMap<String, Vec<[i64; 2]>>);

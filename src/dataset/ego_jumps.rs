@@ -12,8 +12,8 @@ const JUMP_M: f64 = 1000.0;
 /// Speed above which a long movement is a jump, meters per second.
 const JUMP_MPS: f64 = 200.0;
 
-/// Counts the jumps of the ego from one pose to the next, among all poses of frames, sweeps and images in time order. Long
-/// times without a pose are none.
+/// Counts the jumps of the ego from one pose to the next, among all poses of frames, sweeps and images in
+/// time order. Long times without a pose are none.
 pub(super) fn count_jumps(log: &Recording) -> usize {
     let mut poses: Vec<(i64, DVec3)> = log.frames.iter().flat_map(poses).collect();
     poses.sort_by_key(|(t_us, _)| *t_us);
@@ -34,8 +34,9 @@ fn poses(frame: &Frame) -> impl Iterator<Item = (i64, DVec3)> {
 }
 
 impl Frame {
-    /// Returns the first of some frames whose ego is near the median of all ego positions, within [`PRECISE_WITHIN_M`]: the
-    /// frame whose ego is the origin of other coordinates. The first frame if there is none; `None` without frames.
+    /// Returns the first of some frames whose ego is near the median of all ego positions, within
+    /// [`PRECISE_WITHIN_M`]: the frame whose ego is the origin of other coordinates. The first frame if there
+    /// is none; `None` without frames.
     pub fn origin_of(frames: &[Self]) -> Option<&Self> {
         let median = |axis: usize| {
             let mut values: Vec<f64> =

@@ -16,13 +16,14 @@ impl EgoTrack {
         Self(poses)
     }
 
-    /// Returns all recorded poses, `global_from_ego`, with absolute microseconds, in time order. Times may repeat.
+    /// Returns all recorded poses, `global_from_ego`, with absolute microseconds, in time order. Times may
+    /// repeat.
     pub fn poses(&self) -> &[(i64, Pose)] {
         &self.0
     }
 
-    /// Returns `global_from_ego` at any time (microseconds) within the recording, interpolated between recorded poses
-    /// (linear position, slerp rotation). `None` outside.
+    /// Returns `global_from_ego` at any time (microseconds) within the recording, interpolated between
+    /// recorded poses (linear position, slerp rotation). `None` outside.
     pub fn at(&self, t_us: i64) -> Option<Pose> {
         let next = self.0.partition_point(|(at, _)| *at < t_us);
         let (t1, after) = self.0.get(next)?;

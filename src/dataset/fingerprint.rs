@@ -13,9 +13,10 @@ use crate::geometry::{Camera, Pose};
 const MARK: &str = "2-";
 
 impl Recording {
-    /// Returns a fingerprint of everything that determines maps, except for the content of files: names, times, poses,
-    /// cameras with intrinsics and distortion, sweeps and images with their paths below the folder that all of them share,
-    /// tracks with their categories, boxes, traffic lights and routes. The text is `2-` and 16 hexadecimal digits.
+    /// Returns a fingerprint of everything that determines maps, except for the content of files: names,
+    /// times, poses, cameras with intrinsics and distortion, sweeps and images with their paths below the
+    /// folder that all of them share, tracks with their categories, boxes, traffic lights and routes. The
+    /// text is `2-` and 16 hexadecimal digits.
     pub fn fingerprint(&self) -> String {
         let mut hash = Fingerprint::new();
         hash.all(&[&self.name, &self.location, &self.description], |hash, text| hash.text(text));
@@ -67,7 +68,8 @@ pub(crate) fn is_fingerprint(text: &str) -> bool {
     text.starts_with(MARK)
 }
 
-/// Returns the folder that all sweeps and images share. It is not part of a fingerprint, since a data set may be moved.
+/// Returns the folder that all sweeps and images share. It is not part of a fingerprint, since a data set may
+/// be moved.
 fn common_folder(frames: &[Frame]) -> PathBuf {
     let files = frames.iter().flat_map(|frame| {
         let images = frame.images.iter().chain(&frame.between_images).map(|image| &image.path);

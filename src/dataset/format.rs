@@ -1,4 +1,5 @@
-//! Formats and locations of logs, and the opener, which refer to each other. `registry` has the formats of the program.
+//! Formats and locations of logs, and the opener, which refer to each other. `registry` has the formats of
+//! the program.
 
 use std::any::Any;
 use std::fmt;
@@ -14,7 +15,8 @@ pub type OpenReader = fn(&LogLocator, &LogOpener) -> Result<Box<dyn LogReader>, 
 pub struct LogFormat {
     /// Name in the text form of a locator, `NAME:PATH`.
     pub name: &'static str,
-    /// Whether the path of a locator names a file or folder. Otherwise it is a text that only the format understands.
+    /// Whether the path of a locator names a file or folder. Otherwise it is a text that only the format
+    /// understands.
     pub has_path: bool,
     /// Simulation and planning steps per second that suit its logs.
     pub rates_hz: [f64; 2],
@@ -107,7 +109,8 @@ impl fmt::Display for LogLocator {
     }
 }
 
-/// Opens logs. Tables that hold many logs, as those of nuScenes do, are read once for consecutive logs of one data set.
+/// Opens logs. Tables that hold many logs, as those of nuScenes do, are read once for consecutive logs of one
+/// data set.
 #[derive(Debug, Default)]
 pub struct LogOpener {
     /// Tables that were read last.
@@ -128,7 +131,8 @@ impl LogOpener {
         (locator.format.open)(locator, self)
     }
 
-    /// Returns name and length of a log. Those of nuScenes are in two small tables; logs of other formats are opened.
+    /// Returns name and length of a log. Those of nuScenes are in two small tables; logs of other formats are
+    /// opened.
     ///
     /// # Errors
     /// Fails as [`LogOpener::open`].

@@ -1,9 +1,10 @@
 //! Missing and damaged parts of logs: one policy for all readers.
 //!
 //! # How it works
-//! A reader records the parts that it misses ([`Gap`]), and lists its files without looking at them. `notes::settle` finds
-//! the files that do not exist, and then either leaves out all missing parts or ends with an error. Damaged files are found when
-//! they are read: [`Recording::unless_damaged`](super::Recording::unless_damaged).
+//! A reader records the parts that it misses ([`Gap`]), and lists its files without looking at them.
+//! `notes::settle` finds the files that do not exist, and then either leaves out all missing parts or ends
+//! with an error. Damaged files are found when they are read:
+//! [`Recording::unless_damaged`](super::Recording::unless_damaged).
 
 use std::fmt;
 use std::path::{Path, PathBuf};
@@ -53,7 +54,8 @@ impl Gap {
         Self { kind, place: GapPlace::Record { record: record.into(), path: path.to_owned() } }
     }
 
-    /// Creates the gap of a record `by` whose reference to another table leads nowhere; `path` is the file of that table.
+    /// Creates the gap of a record `by` whose reference to another table leads nowhere; `path` is the file of
+    /// that table.
     #[cfg(any(feature = "nuscenes", feature = "nuplan"))]
     pub(super) fn dangling(kind: &'static str, by: &str, table: &str, token: &str, path: &Path) -> Self {
         Self::record(kind, format!("{by}, whose {table} {token} is missing"), path)

@@ -3,8 +3,8 @@
 use super::LogLocator;
 use crate::error::FileError;
 
-/// Maximum distance of a time from 1970, microseconds: a thousand years. Later times are rejected as damaged, so
-/// differences of times cannot overflow.
+/// Maximum distance of a time from 1970, microseconds: a thousand years. Later times are rejected as damaged,
+/// so differences of times cannot overflow.
 #[cfg(any(feature = "nuscenes", feature = "nuplan"))]
 pub(super) const MAX_TIME_US: i64 = 31_557_600_000_000_000;
 

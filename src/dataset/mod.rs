@@ -1,7 +1,8 @@
 //! Driving logs, independent of their format.
 //!
-//! A reader converts its raw tables to a lightweight [`Recording`] (poses, calibration, boxes and file paths) and reads
-//! sweeps and images on demand. Nothing is dropped silently: a reader counts skipped items in [`Recording::notes`].
+//! A reader converts its raw tables to a lightweight [`Recording`] (poses, calibration, boxes and file paths)
+//! and reads sweeps and images on demand. Nothing is dropped silently: a reader counts skipped items in
+//! [`Recording::notes`].
 
 // Each reader needs only some of the shared helpers.
 #![cfg_attr(
@@ -66,8 +67,8 @@ use crate::error::FileError;
 use crate::files::text::{printable, printable_path};
 use crate::geometry::{CameraError, Cuboid, CuboidError, PoseError, View};
 
-/// Reader of one log (not of a whole data set): metadata, sweeps, images and map. For a format outside this crate,
-/// implement it and pass it to [`Log::new`](crate::Log::new).
+/// Reader of one log (not of a whole data set): metadata, sweeps, images and map. For a format outside this
+/// crate, implement it and pass it to [`Log::new`](crate::Log::new).
 pub trait LogReader: Send + Sync {
     /// Returns poses, calibration, boxes and file paths.
     fn recording(&self) -> &Recording;
@@ -78,7 +79,8 @@ pub trait LogReader: Send + Sync {
     /// Fails if the file is missing or violates its format.
     fn read_sweep(&self, record: &SweepRecord) -> Result<Sweep, DatasetError>;
 
-    /// Returns the number of points of a sweep from its header and size; `None` if the sweep is generated on reading.
+    /// Returns the number of points of a sweep from its header and size; `None` if the sweep is generated on
+    /// reading.
     ///
     /// # Errors
     /// Fails as [`LogReader::read_sweep`], except for errors in the points themselves.
@@ -92,7 +94,8 @@ pub trait LogReader: Send + Sync {
     /// Fails if the file is missing, cannot be decoded, or has another size.
     fn read_image(&self, record: &ImageRecord) -> Result<image::RgbImage, DatasetError>;
 
-    /// Checks that an image exists, is not cut off, and has the size in its record. Only the header is decoded.
+    /// Checks that an image exists, is not cut off, and has the size in its record. Only the header is
+    /// decoded.
     ///
     /// # Errors
     /// Fails as [`LogReader::read_image`], except for errors in the pixel data.
@@ -106,8 +109,8 @@ pub trait LogReader: Send + Sync {
         Err(FileError::content(expected, format!("{height}x{width}"), &record.path).into())
     }
 
-    /// Returns the number of LiDAR points per frame and box, in the log's order, as stated by the dataset; `None` for
-    /// boxes with an unknown number. `None` if the dataset states none.
+    /// Returns the number of LiDAR points per frame and box, in the log's order, as stated by the dataset;
+    /// `None` for boxes with an unknown number. `None` if the dataset states none.
     fn box_points(&self) -> Option<&[Vec<Option<u32>>]> {
         None
     }
@@ -128,8 +131,8 @@ pub trait LogReader: Send + Sync {
 
 /// Renders ground-truth images of a synthetic log from any pose.
 pub trait ViewRenderer {
-    /// Renders an image per view, in their order. The views' world is the global frame. The actors are those of the
-    /// log at that time unless given.
+    /// Renders an image per view, in their order. The views' world is the global frame. The actors are those
+    /// of the log at that time unless given.
     ///
     /// # Errors
     /// Fails if the log does not contain an actor or if rendering fails.
@@ -285,8 +288,8 @@ fn and_further(gaps: usize) -> String {
 }
 
 impl DatasetError {
-    /// Returns whether the data is missing or damaged, as opposed to an error of the operating system (permissions, a network
-    /// that is down), after which the data may be there again.
+    /// Returns whether the data is missing or damaged, as opposed to an error of the operating system
+    /// (permissions, a network that is down), after which the data may be there again.
     pub fn is_damage(&self) -> bool {
         match self {
             Self::File(FileError::Io { source, .. }) => {

@@ -1,15 +1,16 @@
 use super::{DatasetError, ImageRecord, LogReader, Recording, Sweep, SweepRecord, VectorMap, ViewRenderer};
 use crate::scene::EgoOffset;
 
-/// A synthetic log with the ego and its cameras displaced at all times. Actors and LiDAR sweeps stay where they are, and images are
-/// rendered where the cameras are then.
+/// A synthetic log with the ego and its cameras displaced at all times. Actors and LiDAR sweeps stay where
+/// they are, and images are rendered where the cameras are then.
 pub struct MovedEgo {
     log: Recording,
     reader: Box<dyn LogReader>,
 }
 
 impl MovedEgo {
-    /// Displaces the ego of a log; `None` if the log is recorded, since its images exist at the recorded poses alone.
+    /// Displaces the ego of a log; `None` if the log is recorded, since its images exist at the recorded
+    /// poses alone.
     pub fn new(reader: Box<dyn LogReader>, offset: EgoOffset) -> Option<Self> {
         reader.view_renderer()?;
         let mut log = reader.recording().clone();

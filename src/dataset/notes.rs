@@ -48,7 +48,8 @@ impl Notes {
     }
 }
 
-/// Moves the notes of a reader to its log, removes sweeps and images whose files do not exist, and applies the policy.
+/// Moves the notes of a reader to its log, removes sweeps and images whose files do not exist, and applies
+/// the policy.
 ///
 /// # Errors
 /// Fails with [`MissingData::Error`] if anything is missing.
@@ -73,8 +74,8 @@ pub(super) fn settle(log: &mut Recording, notes: Notes) -> Result<(), DatasetErr
     }
 }
 
-/// Returns the files of a log that do not exist, each once. Other things than regular files, and files that cannot be looked up,
-/// are left for their readers.
+/// Returns the files of a log that do not exist, each once. Other things than regular files, and files that
+/// cannot be looked up, are left for their readers.
 fn missing_files(log: &Recording) -> Vec<Gap> {
     let files = log.frames.iter().flat_map(|frame| {
         let sweeps = frame.sweeps.iter().map(|sweep| (&sweep.path, NO_SWEEP_FILE));

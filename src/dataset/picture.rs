@@ -11,7 +11,8 @@ use crate::memory::{Need, reserve};
 /// Images of recordings, for messages.
 const IMAGE: &str = "a JPEG or PNG image";
 
-/// Reads a JPEG or PNG file of `height × width` pixels. The size in the header is compared before pixels are decoded.
+/// Reads a JPEG or PNG file of `height × width` pixels. The size in the header is compared before pixels are
+/// decoded.
 ///
 /// # Errors
 /// Fails if the file is missing, cannot be decoded, has another size, or is cut off.
@@ -38,7 +39,8 @@ pub fn read_picture(path: &Path, height: u32, width: u32) -> Result<RgbImage, Fi
     DynamicImage::from_decoder(decoder).map(DynamicImage::into_rgb8).map_err(undecodable)
 }
 
-/// Estimates the memory of decoding an image, bytes: the decoded pixels, their conversion to RGB, and coefficients of a JPEG file.
+/// Estimates the memory of decoding an image, bytes: the decoded pixels, their conversion to RGB, and
+/// coefficients of a JPEG file.
 fn decoded_bytes(decoded: u64, color: ColorType, is_jpeg: bool, height: u32, width: u32) -> u64 {
     let pixels = u64::from(height) * u64::from(width);
     let converted = if color == ColorType::Rgb8 { 0 } else { 3 * pixels };
@@ -91,8 +93,8 @@ fn is_jpeg(bytes: &[u8]) -> bool {
     bytes.starts_with(&[0xff, 0xd8])
 }
 
-/// Returns whether an end marker (`FF D9`) follows the last start of a scan (`FF DA`). Neither occurs within a scan,
-/// where `FF` is followed by 0 or a restart marker. Thumbnails, which contain both, precede the scan.
+/// Returns whether an end marker (`FF D9`) follows the last start of a scan (`FF DA`). Neither occurs within
+/// a scan, where `FF` is followed by 0 or a restart marker. Thumbnails, which contain both, precede the scan.
 fn has_jpeg_end(bytes: &[u8]) -> bool {
     let last = |code: u8| bytes.windows(2).rposition(|pair| pair == [0xff, code]);
     last(0xd9) > last(0xda)

@@ -28,7 +28,8 @@ pub enum RingMeaning {
 /// Whether recorded images have the lens distortion that the calibration states.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum ImageDistortion {
-    /// As usual for the layout: nuPlan's images are distorted, those of nuScenes and Argoverse 2 are rectified.
+    /// As usual for the layout: nuPlan's images are distorted, those of nuScenes and Argoverse 2 are
+    /// rectified.
     #[default]
     Usual,
     /// Images are as the lens recorded them.
@@ -38,8 +39,8 @@ pub enum ImageDistortion {
 }
 
 impl ReadOptions {
-    /// Names the options of ambiguous data that are not the default, for comparisons with an earlier reading; empty if all
-    /// are.
+    /// Names the options of ambiguous data that are not the default, for comparisons with an earlier reading;
+    /// empty if all are.
     pub fn names(&self) -> Vec<&'static str> {
         let rings = match self.rings {
             RingMeaning::Auto => None,

@@ -92,8 +92,8 @@ pub struct MapFiles {
 pub struct Track {
     /// Id in the dataset.
     pub id: String,
-    /// Dotted category as in nuScenes, like `vehicle.car`, to which the reader maps the names of the data set. It
-    /// determines class, color of the box, and template.
+    /// Dotted category as in nuScenes, like `vehicle.car`, to which the reader maps the names of the data
+    /// set. It determines class, color of the box, and template.
     pub category: String,
     /// Coarse class.
     pub class: Class,
@@ -106,7 +106,8 @@ pub struct Frame {
     pub t_us: i64,
     /// Ego pose at that time.
     pub global_from_ego: Pose,
-    /// The frame's own sweeps first (one per LiDAR), then the unannotated sweeps since the last frame (latest first).
+    /// The frame's own sweeps first (one per LiDAR), then the unannotated sweeps since the last frame (latest
+    /// first).
     pub sweeps: Vec<SweepRecord>,
     /// At most one image per camera, sorted by camera.
     pub images: Vec<ImageRecord>,
@@ -134,7 +135,8 @@ pub struct SweepRecord {
 /// File, time and camera of an image.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ImageRecord {
-    /// Identifier within the data set: the token in nuScenes and nuPlan, `LOG_CAMERA_NANOSECONDS` in Argoverse 2.
+    /// Identifier within the data set: the token in nuScenes and nuPlan, `LOG_CAMERA_NANOSECONDS` in
+    /// Argoverse 2.
     pub token: String,
     /// Index in [`Recording::cameras`].
     pub channel: usize,
@@ -175,8 +177,8 @@ impl Recording {
     /// [`MissingData::Skip`]. The caller counts it.
     ///
     /// # Errors
-    /// Returns the error of a damaged file otherwise, and all errors of the operating system except that the file does not
-    /// exist.
+    /// Returns the error of a damaged file otherwise, and all errors of the operating system except that the
+    /// file does not exist.
     pub fn unless_damaged<T>(&self, read: Result<T, DatasetError>) -> Result<Option<T>, DatasetError> {
         match read {
             Ok(content) => Ok(Some(content)),
@@ -196,8 +198,8 @@ impl Recording {
         self.frames.iter().enumerate().filter_map(in_frame).collect()
     }
 
-    /// Returns all boxes at any time within the log, sorted by track, interpolated between the frames before and
-    /// after. A track missing from either frame is omitted.
+    /// Returns all boxes at any time within the log, sorted by track, interpolated between the frames before
+    /// and after. A track missing from either frame is omitted.
     pub fn boxes_at(&self, t_us: i64) -> Vec<TrackBox> {
         let next = self.frames.partition_point(|f| f.t_us < t_us);
         match (next.checked_sub(1).map(|i| &self.frames[i]), self.frames.get(next)) {

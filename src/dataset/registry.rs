@@ -1,8 +1,9 @@
 //! The formats of logs of this program: one row per reader, also of readers in other crates.
 //!
 //! # How it works
-//! The rows of this crate are in [`BUILT_IN`]; a crate with another format, like that of the synthetic town, adds its row
-//! with [`register`] when the program starts. Names of logs are parsed here, since a path alone is recognized by the formats.
+//! The rows of this crate are in [`BUILT_IN`]; a crate with another format, like that of the synthetic town,
+//! adds its row with [`register`] when the program starts. Names of logs are parsed here, since a path alone
+//! is recognized by the formats.
 
 use std::path::Path;
 use std::str::FromStr;
@@ -79,7 +80,8 @@ fn parse_path(format: &'static LogFormat, text: &str) -> Option<LogLocator> {
     Some(LogLocator { version, scene, ..LogLocator::new(format, path) })
 }
 
-/// Recognizes the format of `PATH[@VERSION][#SCENE]` by the files there; `None` if there are no files of a format.
+/// Recognizes the format of `PATH[@VERSION][#SCENE]` by the files there; `None` if there are no files of a
+/// format.
 ///
 /// # Errors
 /// Fails if there are files of several formats.

@@ -1,4 +1,5 @@
-//! Summary of a log, and its missing or damaged files: only sizes and headers are read, and the points of a few sweeps.
+//! Summary of a log, and its missing or damaged files: only sizes and headers are read, and the points of a
+//! few sweeps.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -103,8 +104,8 @@ pub struct MapCounts {
 }
 
 impl LogSummary {
-    /// Summarizes a log. Checks the header and size of every sweep and image file, and reads the HD map and the points
-    /// of a few sweeps.
+    /// Summarizes a log. Checks the header and size of every sweep and image file, and reads the HD map and
+    /// the points of a few sweeps.
     pub fn new(dataset: &dyn LogReader) -> Self {
         let log = dataset.recording();
         let mut damaged: Vec<String> =
@@ -148,8 +149,8 @@ impl LogSummary {
     }
 }
 
-/// Returns the number of points of all sweeps, derived from file sizes and `None` if they do not determine it, and
-/// the errors of damaged sweep files.
+/// Returns the number of points of all sweeps, derived from file sizes and `None` if they do not determine
+/// it, and the errors of damaged sweep files.
 fn sweeps(dataset: &dyn LogReader) -> (Option<u64>, Vec<String>) {
     let records: Vec<_> = dataset.recording().frames.iter().flat_map(|f| &f.sweeps).collect();
     let results: Vec<_> = records.par_iter().map(|record| dataset.check_sweep(record)).collect();
@@ -161,8 +162,8 @@ fn sweeps(dataset: &dyn LogReader) -> (Option<u64>, Vec<String>) {
 /// Number of sweeps whose points are read, evenly spaced over the log.
 const SWEEPS_READ: usize = 8;
 
-/// Reads the points of a few sweeps, and adds what is unusual about their values. Sweeps that are generated on reading
-/// are not read.
+/// Reads the points of a few sweeps, and adds what is unusual about their values. Sweeps that are generated
+/// on reading are not read.
 fn contents(
     dataset: &dyn LogReader,
     points: Option<u64>,

@@ -1,7 +1,7 @@
 //! Limited reads of regular files, and names in data that resolve to paths below the data's folder.
 //!
-//! Reading a device or waiting for a FIFO might never end. So the file type is checked before and after opening, and
-//! files are opened without blocking.
+//! Reading a device or waiting for a FIFO might never end. So the file type is checked before and after
+//! opening, and files are opened without blocking.
 
 use std::fs::{File, FileType, Metadata, OpenOptions};
 use std::io::{ErrorKind, Read};
@@ -33,12 +33,13 @@ impl DataRoot {
     /// Expectation of the error of a path that leads out of the folder.
     pub const BELOW: &str = "a path below the data set's folder";
 
-    /// Resolves a name from the data to a path. Backslashes, which Windows writes, separate folders unless a file has
-    /// the name as written. Symbolic links may lead anywhere: they are trusted as much as the folder's owner.
+    /// Resolves a name from the data to a path. Backslashes, which Windows writes, separate folders unless a
+    /// file has the name as written. Symbolic links may lead anywhere: they are trusted as much as the
+    /// folder's owner.
     ///
     /// # Errors
-    /// Fails if the name is empty, contains a NUL, or begins with a drive of Windows. Unless `allow_outside` is set,
-    /// also fails if it is absolute or has a `..` component.
+    /// Fails if the name is empty, contains a NUL, or begins with a drive of Windows. Unless `allow_outside`
+    /// is set, also fails if it is absolute or has a `..` component.
     pub fn resolve(&self, name: &str) -> Result<PathBuf, NameError> {
         let wrong =
             |expected: &str| Err(NameError { expected: expected.to_owned(), found: format!("{name:?}") });
@@ -68,8 +69,8 @@ fn has_drive(name: &str) -> bool {
 /// Opens a regular file for reading without blocking, and returns its length too.
 ///
 /// # Errors
-/// Fails if the file cannot be opened or is not a regular file, or if its content stands in for a file that was not
-/// downloaded: a Git LFS or git-annex pointer, or an error page.
+/// Fails if the file cannot be opened or is not a regular file, or if its content stands in for a file that
+/// was not downloaded: a Git LFS or git-annex pointer, or an error page.
 pub(crate) fn open_regular(path: &Path) -> Result<(File, u64), FileError> {
     // Opening some devices has side effects.
     check_kind(&std::fs::metadata(path).map_err(FileError::io("read", path))?, path)?;
@@ -156,7 +157,8 @@ pub fn is_there(path: &Path) -> Result<bool, FileError> {
     }
 }
 
-/// Returns whether anything exists at a path, including a dangling link: reading it later reports what is wrong.
+/// Returns whether anything exists at a path, including a dangling link: reading it later reports what is
+/// wrong.
 pub fn is_taken(path: &Path) -> bool {
     std::fs::symlink_metadata(path).is_ok()
 }

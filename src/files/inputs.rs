@@ -30,8 +30,8 @@ impl Inputs {
         self
     }
 
-    /// Checks that an output folder is none of the inputs and no part of one: below an input, it is new or an output of
-    /// earlier runs.
+    /// Checks that an output folder is none of the inputs and no part of one: below an input, it is new or an
+    /// output of earlier runs.
     ///
     /// # Errors
     /// Fails if it is.
@@ -61,8 +61,8 @@ impl Inputs {
         }
     }
 
-    /// Checks that an output is not below an input folder. Links on the way are followed, and so are links in the
-    /// upper levels of the inputs.
+    /// Checks that an output is not below an input folder. Links on the way are followed, and so are links in
+    /// the upper levels of the inputs.
     ///
     /// # Errors
     /// Fails if it is.

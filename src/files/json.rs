@@ -1,9 +1,9 @@
-//! JSON files of other programs: strict parsing first, then with the deviations that common writers make, then a message
-//! with field and record.
+//! JSON files of other programs: strict parsing first, then with the deviations that common writers make,
+//! then a message with field and record.
 //!
-//! Python and C++ write `NaN` and `inf`, Windows a byte order mark. A file with these opens as long as no number that is
-//! read is missing. The second attempt is only made after the first has failed, so files that follow the standard are
-//! parsed once.
+//! Python and C++ write `NaN` and `inf`, Windows a byte order mark. A file with these opens as long as no
+//! number that is read is missing. The second attempt is only made after the first has failed, so files that
+//! follow the standard are parsed once.
 
 use std::borrow::Cow;
 use std::path::Path;
@@ -38,7 +38,8 @@ pub fn read<T: DeserializeOwned>(path: &Path, expected: &str) -> Result<T, FileE
 /// Parses the bytes of a JSON file; `expected` and `path` are for messages.
 ///
 /// # Errors
-/// Fails if the bytes are not JSON or have other fields or values. The message names the field and the record.
+/// Fails if the bytes are not JSON or have other fields or values. The message names the field and the
+/// record.
 pub fn parse<T: DeserializeOwned>(bytes: &[u8], expected: &str, path: &Path) -> Result<T, FileError> {
     parsed(bytes).map_err(|found| FileError::content(expected, found, path))
 }
@@ -136,8 +137,8 @@ fn shown(segments: &[&Segment]) -> String {
     text.strip_prefix('.').map_or_else(|| text.clone(), str::to_owned)
 }
 
-/// Returns JSON without a byte order mark, in which numbers that JSON lacks are strings. Those are refused where a number
-/// is read, and skipped with the fields that are not.
+/// Returns JSON without a byte order mark, in which numbers that JSON lacks are strings. Those are refused
+/// where a number is read, and skipped with the fields that are not.
 fn repaired(bytes: &[u8]) -> Cow<'_, [u8]> {
     let bytes = bytes.strip_prefix(BYTE_ORDER_MARK).unwrap_or(bytes);
     let mut result: Vec<u8> = Vec::new();

@@ -19,8 +19,8 @@ const SIGNATURE: &str = "pskel work ";
 /// Whether a file system without locks was found.
 static UNLOCKED: AtomicBool = AtomicBool::new(false);
 
-/// Returns whether this process has written to a file system without locks, where several processes can write to one
-/// output at a time.
+/// Returns whether this process has written to a file system without locks, where several processes can write
+/// to one output at a time.
 pub fn lacks_locks() -> bool {
     UNLOCKED.load(Ordering::Relaxed)
 }
@@ -43,12 +43,12 @@ pub(super) enum LockContent {
 }
 
 impl LockedFile {
-    /// Creates the file, or takes over one left by a dead process with its content. `owner` is the output that the
-    /// file protects.
+    /// Creates the file, or takes over one left by a dead process with its content. `owner` is the output
+    /// that the file protects.
     ///
     /// # Errors
-    /// Fails if another process holds the lock, if a link, folder or device has that name, or on an I/O error. A file
-    /// that was created is removed then.
+    /// Fails if another process holds the lock, if a link, folder or device has that name, or on an I/O
+    /// error. A file that was created is removed then.
     pub(super) fn open(path: &Path, owner: &Path) -> Result<Self, FileError> {
         for _ in 0..TRIES {
             if let Some(file) = attempt(path, owner)? {
@@ -76,8 +76,8 @@ impl LockedFile {
         })
     }
 
-    /// Writes a signature with the process id, which other processes show in their messages. An older signature is
-    /// overwritten without a moment in which there is none.
+    /// Writes a signature with the process id, which other processes show in their messages. An older
+    /// signature is overwritten without a moment in which there is none.
     pub(super) fn sign(&mut self) -> std::io::Result<()> {
         let text = format!("{SIGNATURE}{}\n", std::process::id());
         self.0.seek(SeekFrom::Start(0))?;
@@ -88,7 +88,8 @@ impl LockedFile {
 
 impl Drop for LockedFile {
     fn drop(&mut self) {
-        // Closing unlocks too, but not while a child process that is being spawned still holds a copy of the file.
+        // Closing unlocks too, but not while a child process that is being spawned still holds a copy of the
+        // file.
         let _ = self.0.unlock();
     }
 }
@@ -138,8 +139,9 @@ fn attempt(path: &Path, owner: &Path) -> Result<Option<LockedFile>, FileError> {
     }
 }
 
-/// Returns whether an error says that the file system has no locks: NFS without a lock service (ENOLCK), file systems
-/// in user space and on clusters (ENOSYS, EOPNOTSUPP, EINVAL). Files are still replaced atomically there.
+/// Returns whether an error says that the file system has no locks: NFS without a lock service (ENOLCK), file
+/// systems in user space and on clusters (ENOSYS, EOPNOTSUPP, EINVAL). Files are still replaced atomically
+/// there.
 fn has_no_locks(error: &Error) -> bool {
     let number = Errno::from_io_error(error);
     number

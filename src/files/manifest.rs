@@ -1,5 +1,5 @@
-//! List of the files written into a folder by runs, which later runs may replace, and fingerprints of what they were
-//! made from.
+//! List of the files written into a folder by runs, which later runs may replace, and fingerprints of what
+//! they were made from.
 
 use std::collections::BTreeSet;
 use std::fs::OpenOptions;
@@ -53,8 +53,8 @@ impl Manifest {
         self
     }
 
-    /// Reads the list of a folder; `None` if it has none. Ignores a last line without a newline, which a killed
-    /// process may leave.
+    /// Reads the list of a folder; `None` if it has none. Ignores a last line without a newline, which a
+    /// killed process may leave.
     pub(super) fn read(folder: &Path) -> Result<Option<Self>, FileError> {
         let path = folder.join(FILES);
         if path.is_symlink() {
@@ -130,14 +130,14 @@ impl Manifest {
         self.paths.is_empty()
     }
 
-    /// Returns whether the list has a file below a folder. If such a folder is empty, a run was killed before it
-    /// wrote the first of them, or after it removed the last.
+    /// Returns whether the list has a file below a folder. If such a folder is empty, a run was killed before
+    /// it wrote the first of them, or after it removed the last.
     fn holds_below(&self, folder: &Path) -> bool {
         self.paths.range(folder.to_owned()..).next().is_some_and(|path| path.starts_with(folder))
     }
 
-    /// Checks that all files at or below `name` in `folder` are in the list, and that no folder on the way is a link,
-    /// which would lead out of the folder.
+    /// Checks that all files at or below `name` in `folder` are in the list, and that no folder on the way is
+    /// a link, which would lead out of the folder.
     pub(super) fn check(&self, folder: &Path, name: &Path) -> Result<(), FileError> {
         check_way(folder, name)?;
         let is_folder = |path: &Path| folder.join(path).symlink_metadata().is_ok_and(|data| data.is_dir());
@@ -151,7 +151,8 @@ impl Manifest {
         Err(refusal(&folder.join(path)))
     }
 
-    /// Checks all files of a folder as [`Self::check`] does, except the work folder and lost files in a mount point.
+    /// Checks all files of a folder as [`Self::check`] does, except the work folder and lost files in a mount
+    /// point.
     pub(super) fn check_mounted(&self, folder: &Path, work: &str) -> Result<(), FileError> {
         for entry in std::fs::read_dir(folder).map_err(FileError::io("read", folder))? {
             let name = entry.map_err(FileError::io("read", folder))?.file_name();
@@ -200,8 +201,8 @@ pub(super) fn files_below(folder: &Path) -> Result<BTreeSet<PathBuf>, FileError>
     Ok(paths)
 }
 
-/// Calls `see` with every file at or below `name`, relative to `folder`, except the list itself. An empty folder
-/// counts as a file. Links are not followed.
+/// Calls `see` with every file at or below `name`, relative to `folder`, except the list itself. An empty
+/// folder counts as a file. Links are not followed.
 fn visit(folder: &Path, name: &Path, see: &mut impl FnMut(PathBuf)) -> Result<(), FileError> {
     let path = folder.join(name);
     let Ok(data) = std::fs::symlink_metadata(&path) else { return Ok(()) };

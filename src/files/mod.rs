@@ -1,5 +1,5 @@
-//! File handling: checked file names, limited reads of regular files, atomic writes, outputs that replace only files of
-//! earlier runs and none of their inputs, and escaping of text from data in messages.
+//! File handling: checked file names, limited reads of regular files, atomic writes, outputs that replace
+//! only files of earlier runs and none of their inputs, and escaping of text from data in messages.
 
 pub mod input;
 mod inputs;

@@ -5,14 +5,15 @@ use std::path::Path;
 
 use rustix::fs::{Access, AtFlags, CWD, StatxAttributes, StatxFlags, statx};
 
-/// Returns whether a path is the root of a mount, like the volume of a container: it cannot be renamed, and what is
-/// beside it is on another file system.
+/// Returns whether a path is the root of a mount, like the volume of a container: it cannot be renamed, and
+/// what is beside it is on another file system.
 pub(super) fn is_mounted(path: &Path) -> bool {
     let found = statx(CWD, path, AtFlags::SYMLINK_NOFOLLOW, StatxFlags::empty());
     found.is_ok_and(|found| found.stx_attributes.contains(StatxAttributes::MOUNT_ROOT))
 }
 
-/// Returns whether nothing can be created beside a path, for instance because a container's own files are read-only.
+/// Returns whether nothing can be created beside a path, for instance because a container's own files are
+/// read-only.
 pub(super) fn is_beside_read_only(path: &Path) -> bool {
     let found = rustix::fs::access(parent(path), Access::WRITE_OK | Access::EXEC_OK);
     found.is_err_and(|error| error != rustix::io::Errno::NOENT)

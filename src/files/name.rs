@@ -11,8 +11,8 @@ use serde::{Deserialize, Serialize};
 use super::text::{acts, printable};
 use crate::error::FileError;
 
-/// Name that is a single path component: joined to a folder, it stays in that folder and does not collide with the
-/// files that commands write there.
+/// Name that is a single path component: joined to a folder, it stays in that folder and does not collide
+/// with the files that commands write there.
 #[derive(Clone, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
 pub struct FileName(String);
@@ -54,8 +54,8 @@ impl FileName {
     /// Validates a text.
     ///
     /// # Errors
-    /// Fails if the text is empty or longer than [`Self::MAX_BYTES`], begins with a dot, contains `/`, `\` or a
-    /// character that controls a terminal, or is the name of a file that commands write.
+    /// Fails if the text is empty or longer than [`Self::MAX_BYTES`], begins with a dot, contains `/`, `\` or
+    /// a character that controls a terminal, or is the name of a file that commands write.
     pub fn new(text: &str) -> Result<Self, NameError> {
         let wrong =
             |expected: &str| Err(NameError { expected: expected.to_owned(), found: format!("{text:?}") });

@@ -1,19 +1,19 @@
 //! Output folders: each is locked by one process, which replaces only files written by earlier runs.
 //!
 //! # How it works
-//! A folder lists the files written into it by runs (`.pskel-files`). A name may be written if it does not exist, or
-//! if all files at or below it are listed. There are two kinds of folders:
-//! - [`OutputFolder`] grows entry by entry (maps, rollouts, trainings). Whole-folder entries are written under
-//!   temporary names in `OUT/.pskel`, then renamed. Foreign files beside them stay.
-//! - [`WholeFolder`](super::WholeFolder) appears as a whole (skeletons, towns). It is written in `OUT.partial`, then
-//!   swapped with an older folder in one step, so readers see either the old or the new one. It is refused if the
-//!   older folder has foreign files.
+//! A folder lists the files written into it by runs (`.pskel-files`). A name may be written if it does not
+//! exist, or if all files at or below it are listed. There are two kinds of folders:
+//! - [`OutputFolder`] grows entry by entry (maps, rollouts, trainings). Whole-folder entries are written
+//!   under temporary names in `OUT/.pskel`, then renamed. Foreign files beside them stay.
+//! - [`WholeFolder`](super::WholeFolder) appears as a whole (skeletons, towns). It is written in
+//!   `OUT.partial`, then swapped with an older folder in one step, so readers see either the old or the new
+//!   one. It is refused if the older folder has foreign files.
 //!
-//! Folders that cannot be renamed are replaced file by file (`place`). A mount point has the work folder of a whole
-//! folder inside. Links below an output folder are foreign: they are neither followed nor replaced.
+//! Folders that cannot be renamed are replaced file by file (`place`). A mount point has the work folder of a
+//! whole folder inside. Links below an output folder are foreign: they are neither followed nor replaced.
 //!
-//! `.pskel` and `OUT.partial` hold the lock. They are removed when the run ends, also by a signal. After a killed
-//! process, the next run that opens the output removes them.
+//! `.pskel` and `OUT.partial` hold the lock. They are removed when the run ends, also by a signal. After a
+//! killed process, the next run that opens the output removes them.
 
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, MutexGuard, PoisonError};
@@ -81,11 +81,12 @@ impl OutputFolder {
         &self.path
     }
 
-    /// Checks that names of files and folders, relative to this folder, may be written; for use before any work is
-    /// done.
+    /// Checks that names of files and folders, relative to this folder, may be written; for use before any
+    /// work is done.
     ///
     /// # Errors
-    /// Returns an error that names the first file at or below a name that no earlier run wrote, or a link in its place.
+    /// Returns an error that names the first file at or below a name that no earlier run wrote, or a link in
+    /// its place.
     pub fn check<N: AsRef<Path>>(&self, names: impl IntoIterator<Item = N>) -> Result<(), FileError> {
         let manifest = self.manifest();
         names.into_iter().try_for_each(|name| self.check_one(&manifest, name.as_ref()))
@@ -118,12 +119,12 @@ impl OutputFolder {
         Ok(self.path.join(name))
     }
 
-    /// Writes a whole folder below this one: `fill` writes a temporary folder, which is then renamed and replaces an
-    /// older one.
+    /// Writes a whole folder below this one: `fill` writes a temporary folder, which is then renamed and
+    /// replaces an older one.
     ///
     /// # Errors
-    /// Returns any error of `fill`. Fails if the older folder has files that no earlier run wrote, or on an I/O
-    /// error.
+    /// Returns any error of `fill`. Fails if the older folder has files that no earlier run wrote, or on an
+    /// I/O error.
     pub fn write_folder<E: From<FileError>>(
         &self,
         name: impl AsRef<Path>,
@@ -183,7 +184,8 @@ impl OutputFolder {
     }
 }
 
-/// Returns the path of a folder below an output folder that is an output of its own, with its own list and lock.
+/// Returns the path of a folder below an output folder that is an output of its own, with its own list and
+/// lock.
 ///
 /// # Errors
 /// Fails if it, or a folder on the way to it, is a link.
@@ -203,8 +205,8 @@ fn remove_emptied(path: &Path) -> std::io::Result<()> {
     }
 }
 
-/// Removes `.` components from an output path, and resolves a link to a folder, so that the link itself is not
-/// replaced.
+/// Removes `.` components from an output path, and resolves a link to a folder, so that the link itself is
+/// not replaced.
 pub fn resolved_output(path: PathBuf) -> PathBuf {
     let path: PathBuf = path.components().collect();
     if path.is_symlink() && path.is_dir() { path.canonicalize().unwrap_or(path) } else { path }

@@ -29,8 +29,8 @@ pub struct FileKind {
     pub marks: &'static [&'static [u8]],
 }
 
-/// A file to write. It replaces nothing except an empty file or one of its kind, and is no part of the command's inputs
-/// or of another output. Links are followed, also to a file that does not exist yet.
+/// A file to write. It replaces nothing except an empty file or one of its kind, and is no part of the
+/// command's inputs or of another output. Links are followed, also to a file that does not exist yet.
 #[derive(Clone, Debug)]
 pub struct OutputFile {
     path: PathBuf,

@@ -31,14 +31,15 @@ impl Drop for PendingPath {
     }
 }
 
-/// Runs a short piece of work that a signal must not interrupt: [`remove_pending`] waits for its end. Not to be nested.
+/// Runs a short piece of work that a signal must not interrupt: [`remove_pending`] waits for its end. Not to
+/// be nested.
 pub(super) fn finish_undisturbed<T>(work: impl FnOnce() -> T) -> T {
     let _moving = MOVING.read().unwrap_or_else(PoisonError::into_inner);
     work()
 }
 
-/// Removes all temporary files and folders of a process that is about to end. Afterwards, every thread that begins or
-/// finishes a file blocks.
+/// Removes all temporary files and folders of a process that is about to end. Afterwards, every thread that
+/// begins or finishes a file blocks.
 pub fn remove_pending() {
     let moving = MOVING.write().unwrap_or_else(PoisonError::into_inner);
     let pending = lock();

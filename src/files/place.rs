@@ -1,8 +1,8 @@
 //! Moves finished files and folders to their final path, where possible in one step.
 //!
-//! Some folders cannot be renamed: mount points (EBUSY), and folders that stem from a lower layer of an overlay (EXDEV).
-//! Their files are replaced one by one. JSON files, without which nothing reads the content, go first and come last, so
-//! that a folder in between is incomplete rather than a mixture.
+//! Some folders cannot be renamed: mount points (EBUSY), and folders that stem from a lower layer of an
+//! overlay (EXDEV). Their files are replaced one by one. JSON files, without which nothing reads the content,
+//! go first and come last, so that a folder in between is incomplete rather than a mixture.
 
 use std::collections::BTreeSet;
 use std::io::ErrorKind;
@@ -15,8 +15,8 @@ use super::mounts::is_fixed;
 use super::pending::remove;
 use crate::error::FileError;
 
-/// Moves a folder to a path. If a folder is there, both are swapped in one step, so the path is never empty. If it
-/// cannot be renamed, its files `old` (relative paths) are replaced by those of the new folder.
+/// Moves a folder to a path. If a folder is there, both are swapped in one step, so the path is never empty.
+/// If it cannot be renamed, its files `old` (relative paths) are replaced by those of the new folder.
 ///
 /// # Errors
 /// Fails on an I/O error.

@@ -49,12 +49,12 @@ impl SharedFolder {
         [Self::OPTIONS, Self::RECORDS].iter().all(|name| folder.join(name).exists())
     }
 
-    /// Locks the unit `name` of the folder `out`. `record` is the path of its record there. `owned` returns the files that
-    /// an earlier record lists; it is called when the unit is locked.
+    /// Locks the unit `name` of the folder `out`. `record` is the path of its record there. `owned` returns
+    /// the files that an earlier record lists; it is called when the unit is locked.
     ///
     /// # Errors
-    /// Returns any error of `owned`. Fails with [`FileError::Busy`] if another process writes the unit, if a link leads out
-    /// of the folder, or on an I/O error.
+    /// Returns any error of `owned`. Fails with [`FileError::Busy`] if another process writes the unit, if a
+    /// link leads out of the folder, or on an I/O error.
     pub fn begin(
         out: &Path,
         name: &str,
@@ -76,8 +76,8 @@ impl SharedFolder {
         Ok(unit)
     }
 
-    /// Checks, before the work, that a file of the unit may be written: that its name is free or has a file. Whether that
-    /// file may be replaced depends on its bytes, if the earlier record does not list it.
+    /// Checks, before the work, that a file of the unit may be written: that its name is free or has a file.
+    /// Whether that file may be replaced depends on its bytes, if the earlier record does not list it.
     ///
     /// # Errors
     /// Fails if a folder has its name, or a link that the earlier record does not list, or if a link on the
@@ -116,12 +116,13 @@ impl SharedFolder {
         Ok(path)
     }
 
-    /// Moves the files of the unit to their names, then calls `write_record` with the path of the record. Files of the
-    /// earlier record that are not among them are removed. A signal that ends the process waits for the end.
+    /// Moves the files of the unit to their names, then calls `write_record` with the path of the record.
+    /// Files of the earlier record that are not among them are removed. A signal that ends the process waits
+    /// for the end.
     ///
     /// # Errors
-    /// Returns any error of `write_record`. Fails without moving a file as [`Self::check`], or if a foreign file has one of
-    /// the names. Fails on an I/O error; moved files are removed then.
+    /// Returns any error of `write_record`. Fails without moving a file as [`Self::check`], or if a foreign
+    /// file has one of the names. Fails on an I/O error; moved files are removed then.
     pub fn publish(
         self,
         files: &BTreeSet<PathBuf>,

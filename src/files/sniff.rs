@@ -1,5 +1,5 @@
-//! Recognizes what the bytes of a file are when they are not what a reader expects: an empty file, a pointer of a
-//! version control system, an error page of a download server, an archive, another format.
+//! Recognizes what the bytes of a file are when they are not what a reader expects: an empty file, a pointer
+//! of a version control system, an error page of a download server, an archive, another format.
 
 /// Bytes at the beginning of a file that are examined.
 pub(crate) const HEAD_BYTES: usize = 512;
@@ -38,8 +38,8 @@ const MAGIC: [(&[u8], &str); 27] = [
 /// Beginnings of an HTML page, in lower case.
 const HTML: [&str; 3] = ["<!doctype html", "<html", "<head"];
 
-/// Names content that stands in for a file that was never downloaded. No format that this project reads begins like
-/// it.
+/// Names content that stands in for a file that was never downloaded. No format that this project reads
+/// begins like it.
 pub(crate) fn undownloaded(head: &[u8]) -> Option<&'static str> {
     let text = start_of_text(head);
     if text.starts_with("version https://git-lfs.github.com/spec/") {
@@ -58,8 +58,8 @@ pub(crate) fn undownloaded(head: &[u8]) -> Option<&'static str> {
     (is_xml && lower.contains("<error>")).then_some("an XML error page (a failed download?)")
 }
 
-/// Names the content of a file by its first bytes, [`HEAD_BYTES`] of them at most. `None` if they have no mark, as with
-/// text and raw numbers.
+/// Names the content of a file by its first bytes, [`HEAD_BYTES`] of them at most. `None` if they have no
+/// mark, as with text and raw numbers.
 pub(crate) fn marked(head: &[u8]) -> Option<&'static str> {
     let head = &head[..head.len().min(HEAD_BYTES)];
     if head.is_empty() {

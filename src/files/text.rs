@@ -27,7 +27,8 @@ pub fn printable_path(path: &Path) -> String {
     escaped(shortened(&text, MAX_PATH), acts).into_owned()
 }
 
-/// Escapes control characters in lines of a result with values from data. Nothing is shortened; line breaks stay.
+/// Escapes control characters in lines of a result with values from data. Nothing is shortened; line breaks
+/// stay.
 pub fn escaped_lines(text: &str) -> Cow<'_, str> {
     escaped(Cow::Borrowed(text), |c| c != '\n' && acts(c))
 }
@@ -41,8 +42,8 @@ pub fn printable_lines(text: &str) -> Cow<'_, str> {
     Cow::Owned(text.split('\n').map(printable_line).collect::<Vec<_>>().join("\n"))
 }
 
-/// Returns whether a character controls a terminal or the layout: control characters, line and paragraph separators,
-/// and marks that change the text direction.
+/// Returns whether a character controls a terminal or the layout: control characters, line and paragraph
+/// separators, and marks that change the text direction.
 pub(super) fn acts(c: char) -> bool {
     let turns =
         matches!(c, '\u{61c}' | '\u{200e}' | '\u{200f}' | '\u{202a}'..='\u{202e}' | '\u{2066}'..='\u{2069}');
@@ -61,8 +62,8 @@ fn escaped(text: Cow<'_, str>, is_escaped: impl Fn(char) -> bool) -> Cow<'_, str
             '\r' => result.push_str("\\r"),
             '\t' => result.push_str("\\t"),
             ..'\u{20}' => result.push_str(&format!("\\x{:02x}", u32::from(c))),
-            // JSON's own syntax: its strings may hold these characters unescaped, and JSON text stays valid when they
-            // are escaped here.
+            // JSON's own syntax: its strings may hold these characters unescaped, and JSON text stays valid
+            // when they are escaped here.
             _ => result.push_str(&format!("\\u{:04x}", u32::from(c))),
         }
     }

@@ -17,16 +17,16 @@ const PARTIAL: &str = ".pskel-part";
 const MAX_NAME: usize = 200;
 const BUFFER: usize = 1 << 20;
 
-/// Writes a file under a temporary name in the same folder (`.NAME.pskel-part`), then renames it. `fill` writes to a
-/// buffered writer. The temporary name depends only on the final one, so the next writer takes over the temporary
-/// file of a killed process. Links are followed.
+/// Writes a file under a temporary name in the same folder (`.NAME.pskel-part`), then renames it. `fill`
+/// writes to a buffered writer. The temporary name depends only on the final one, so the next writer takes
+/// over the temporary file of a killed process. Links are followed.
 ///
-/// A file that is a mount point cannot be replaced by a rename, so the content is copied into it. If nothing can be
-/// created beside an existing file, `fill` writes into it.
+/// A file that is a mount point cannot be replaced by a rename, so the content is copied into it. If nothing
+/// can be created beside an existing file, `fill` writes into it.
 ///
 /// # Errors
-/// Returns any error of `fill`. Fails if another process writes the same file, if the path is a folder, device or
-/// pipe, or on an I/O error. The temporary file is removed then.
+/// Returns any error of `fill`. Fails if another process writes the same file, if the path is a folder,
+/// device or pipe, or on an I/O error. The temporary file is removed then.
 pub fn write_whole<E: From<FileError>>(
     path: &Path,
     fill: impl FnOnce(&mut BufWriter<&mut File>) -> Result<(), E>,
@@ -113,7 +113,8 @@ impl Drop for PartialFile {
     }
 }
 
-/// Resolves `path` if it is a link, also to a file that does not exist yet. Fails if it is a folder, device or pipe.
+/// Resolves `path` if it is a link, also to a file that does not exist yet. Fails if it is a folder, device
+/// or pipe.
 pub(super) fn target(path: &Path) -> Result<PathBuf, FileError> {
     match path.metadata() {
         Ok(data) if !data.is_file() => {

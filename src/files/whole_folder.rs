@@ -44,8 +44,8 @@ impl WholeFolder {
     }
 }
 
-/// Writes a [`WholeFolder`] of a kind and with fingerprints of its inputs, by means of a work folder that the caller has
-/// opened at [`work_of_whole`].
+/// Writes a [`WholeFolder`] of a kind and with fingerprints of its inputs, by means of a work folder that the
+/// caller has opened at [`work_of_whole`].
 pub(crate) fn write_whole_by<E: From<FileError>>(
     work: &WorkFolder,
     path: &Path,
@@ -65,8 +65,8 @@ pub(crate) fn write_whole_by<E: From<FileError>>(
     written
 }
 
-/// Moves a new folder to its path. Where that is a mount point or another folder that cannot be renamed, its files are
-/// replaced one by one; until that is done, the list has both the old and the new ones.
+/// Moves a new folder to its path. Where that is a mount point or another folder that cannot be renamed, its
+/// files are replaced one by one; until that is done, the list has both the old and the new ones.
 fn put(new: &Path, path: &Path, manifest: &Manifest) -> Result<(), FileError> {
     let older = if path.is_dir() { Manifest::read(path)? } else { None };
     let older = older.unwrap_or(Manifest::new(&manifest.kind));
@@ -90,8 +90,8 @@ fn is_above(error: &std::io::Error) -> bool {
     error.kind() == std::io::ErrorKind::InvalidInput
 }
 
-/// Returns the path of the work folder of a [`WholeFolder`]: `OUT.partial`, or `OUT/.pskel` if `OUT` is a mount point or if
-/// nothing can be created beside it.
+/// Returns the path of the work folder of a [`WholeFolder`]: `OUT.partial`, or `OUT/.pskel` if `OUT` is a
+/// mount point or if nothing can be created beside it.
 pub(crate) fn work_of_whole(path: &Path) -> PathBuf {
     if has_work_inside(path) {
         return path.join(OWN_NAME);
@@ -104,8 +104,8 @@ fn has_work_inside(path: &Path) -> bool {
     path.is_dir() && !path.is_symlink() && (mounts::is_mounted(path) || mounts::is_beside_read_only(path))
 }
 
-/// Checks that a whole folder may be written at `path`: it does not exist, is empty, or is a folder of the same kind
-/// that holds only files written by runs, and it neither is nor contains an input.
+/// Checks that a whole folder may be written at `path`: it does not exist, is empty, or is a folder of the
+/// same kind that holds only files written by runs, and it neither is nor contains an input.
 ///
 /// # Errors
 /// Fails if anything else exists at the path, if the path has no file name, if it is in a skeleton or a

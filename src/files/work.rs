@@ -13,8 +13,8 @@ pub(super) const OWN_NAME: &str = ".pskel";
 /// Attempts to lock a folder that another process is removing.
 const TRIES: usize = 100;
 
-/// Locked folder. Unless it is retained, it is removed with its content on drop or by a signal. Its lock file has a
-/// signature, by which folders of killed processes are told from foreign ones.
+/// Locked folder. Unless it is retained, it is removed with its content on drop or by a signal. Its lock file
+/// has a signature, by which folders of killed processes are told from foreign ones.
 #[derive(Debug)]
 pub struct WorkFolder {
     path: PathBuf,
@@ -24,12 +24,12 @@ pub struct WorkFolder {
 }
 
 impl WorkFolder {
-    /// Creates and locks the folder at `path`, or takes over one left by a dead process, including its content.
-    /// `owner` is the output that the work is for.
+    /// Creates and locks the folder at `path`, or takes over one left by a dead process, including its
+    /// content. `owner` is the output that the work is for.
     ///
     /// # Errors
-    /// Fails if another process uses it, if the path is a link or a folder without a signed lock, or on an I/O error.
-    /// Nothing that was created is left then.
+    /// Fails if another process uses it, if the path is a link or a folder without a signed lock, or on an
+    /// I/O error. Nothing that was created is left then.
     pub fn open(path: PathBuf, owner: &Path) -> Result<Self, FileError> {
         let lock_path = path.join(LOCK);
         for _ in 0..TRIES {
@@ -104,8 +104,8 @@ impl Drop for WorkFolder {
         if self.clear(|_| false).is_err() {
             return;
         }
-        // The lock file is removed while it is locked, so no other process locks the removed file. If another process
-        // has locked the folder since, it is not empty and stays.
+        // The lock file is removed while it is locked, so no other process locks the removed file. If another
+        // process has locked the folder since, it is not empty and stays.
         let _ = std::fs::remove_file(self.path.join(LOCK));
         let _ = std::fs::remove_dir(&self.path);
         drop(self.lock.take());
@@ -128,9 +128,9 @@ fn create(path: &Path) -> Result<bool, FileError> {
     }
 }
 
-/// Returns whether a locked folder is one of an unfinished run. A process that was killed before it signed its lock
-/// leaves an empty lock and nothing else. Of earlier versions, which wrote a number alone, only folders with a name that
-/// no other program uses are recognized.
+/// Returns whether a locked folder is one of an unfinished run. A process that was killed before it signed
+/// its lock leaves an empty lock and nothing else. Of earlier versions, which wrote a number alone, only
+/// folders with a name that no other program uses are recognized.
 fn is_own(lock: &mut LockedFile, path: &Path) -> std::io::Result<bool> {
     Ok(match lock.content()? {
         LockContent::Signed => true,

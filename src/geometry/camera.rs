@@ -12,7 +12,8 @@ pub struct Camera {
     pub width: u32,
     /// Pixels.
     pub height: u32,
-    /// 3×3 matrix `image_from_camera` in pixels, last row `0 0 1`; pixel `(i, j)` covers `[i, i+1) × [j, j+1)`.
+    /// 3×3 matrix `image_from_camera` in pixels, last row `0 0 1`; pixel `(i, j)` covers `[i, i+1) × [j,
+    /// j+1)`.
     pub intrinsics: DMat3,
     /// Lens distortion of recorded images; `None` for a pinhole. Maps are rendered with the pinhole model.
     pub distortion: Option<Distortion>,
@@ -70,7 +71,8 @@ impl Camera {
     /// Maximum focal length in pixels, far beyond every lens.
     pub const MAX_FOCAL: f64 = 1e9;
 
-    /// Creates a camera after validating its name and numbers. `rows` is the 3×3 intrinsic matrix in row-major order.
+    /// Creates a camera after validating its name and numbers. `rows` is the 3×3 intrinsic matrix in
+    /// row-major order.
     ///
     /// # Errors
     /// Returns a [`CameraError`] if the name or a number is invalid.
@@ -123,8 +125,9 @@ impl Camera {
 }
 
 impl View {
-    /// Returns the row-major 3×4 matrix that maps local homogeneous coordinates to `(x·z, y·z, z)` in pixels and
-    /// meters. The product is computed in `f64` and rounded to `f32` once. The third component is the camera depth.
+    /// Returns the row-major 3×4 matrix that maps local homogeneous coordinates to `(x·z, y·z, z)` in pixels
+    /// and meters. The product is computed in `f64` and rounded to `f32` once. The third component is the
+    /// camera depth.
     pub fn image_from_local(&self, world_from_local: &DAffine3) -> [[f32; 4]; 3] {
         let camera_from_local = self.camera_from_world * *world_from_local;
         let linear = self.camera.intrinsics * camera_from_local.matrix3;
@@ -134,8 +137,8 @@ impl View {
         std::array::from_fn(|r| [rows[r][0] as f32, rows[r][1] as f32, rows[r][2] as f32, offset[r] as f32])
     }
 
-    /// Projects a world point in `f64`. Returns pixel coordinates and camera depth in meters; `None` for a depth of
-    /// at most 10⁻⁵ m.
+    /// Projects a world point in `f64`. Returns pixel coordinates and camera depth in meters; `None` for a
+    /// depth of at most 10⁻⁵ m.
     pub fn project(&self, world: DVec3) -> Option<(DVec2, f64)> {
         let q = self.camera.intrinsics * self.camera_from_world.transform_point3(world);
         (q.z > 1e-5).then(|| (DVec2::new(q.x, q.y) / q.z, q.z))

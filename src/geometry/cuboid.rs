@@ -29,8 +29,8 @@ impl Cuboid {
     /// Creates a box after validating its size (length, width, height in meters) and its center.
     ///
     /// # Errors
-    /// Fails if a side is zero, negative, not finite, or outside [`MIN_SIDE_M`] to [`MAX_SIDE_M`], or if a coordinate
-    /// of the center exceeds [`MAX_COORDINATE_M`].
+    /// Fails if a side is zero, negative, not finite, or outside [`MIN_SIDE_M`] to [`MAX_SIDE_M`], or if a
+    /// coordinate of the center exceeds [`MAX_COORDINATE_M`].
     pub fn new(pose: Pose, size: DVec3) -> Result<Self, CuboidError> {
         if !(size.is_finite() && size.min_element() > 0.0) {
             return Err(CuboidError::Size(size.x, size.y, size.z));
@@ -44,8 +44,8 @@ impl Cuboid {
         Ok(Self { pose, size })
     }
 
-    /// Creates a box, or `None` if a side is zero, negative or below [`MIN_SIDE_M`]: data sets have such boxes of objects without
-    /// a size.
+    /// Creates a box, or `None` if a side is zero, negative or below [`MIN_SIDE_M`]: data sets have such
+    /// boxes of objects without a size.
     ///
     /// # Errors
     /// Fails if a side is not finite or above [`MAX_SIDE_M`], or if a coordinate exceeds
@@ -55,7 +55,8 @@ impl Cuboid {
         if is_flat { Ok(None) } else { Self::new(pose, size).map(Some) }
     }
 
-    /// Returns the eight corners in the global frame, meters. Bit 0 of the index is front, bit 1 left, bit 2 up.
+    /// Returns the eight corners in the global frame, meters. Bit 0 of the index is front, bit 1 left, bit 2
+    /// up.
     pub fn corners(&self) -> [DVec3; 8] {
         std::array::from_fn(|i| {
             let side = |bit: usize| if i >> bit & 1 == 1 { 0.5 } else { -0.5 };
@@ -63,7 +64,8 @@ impl Cuboid {
         })
     }
 
-    /// Returns whether a point in box coordinates (meters) lies inside the box grown by `margin_m` on every side.
+    /// Returns whether a point in box coordinates (meters) lies inside the box grown by `margin_m` on every
+    /// side.
     pub fn contains_local(&self, local: DVec3, margin_m: f64) -> bool {
         let half = self.size / 2.0 + margin_m;
         local.abs().cmple(half).all()

@@ -1,7 +1,7 @@
 use glam::{DMat2, DVec2};
 
-/// Brown–Conrady lens distortion in OpenCV's form: three radial and two tangential coefficients. It applies to
-/// normalized coordinates, in the plane at depth 1.
+/// Brown–Conrady lens distortion in OpenCV's form: three radial and two tangential coefficients. It applies
+/// to normalized coordinates, in the plane at depth 1.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Distortion {
     /// Radial, `r²`.
@@ -22,7 +22,8 @@ impl Distortion {
         ([k1, k2, p1, p2, k3] != [0.0; 5]).then_some(Self { k1, k2, p1, p2, k3 })
     }
 
-    /// Returns `k1 k2 p1 p2 k3` of four or more coefficients in OpenCV's order; `None` unless they are finite and the rest is zero.
+    /// Returns `k1 k2 p1 p2 k3` of four or more coefficients in OpenCV's order; `None` unless they are finite
+    /// and the rest is zero.
     #[cfg(any(feature = "nuscenes", feature = "nuplan"))]
     pub(crate) fn first_five(all: &[f64]) -> Option<[f64; 5]> {
         let mut five = [0.0; 5];
@@ -92,8 +93,8 @@ pub struct Lens {
 }
 
 impl Lens {
-    /// Distorts a point of the plane at depth 1, as OpenCV's `projectPoints`. Returns `None` beyond the radius at
-    /// which the polynomial stops growing: no ray from there reaches the image.
+    /// Distorts a point of the plane at depth 1, as OpenCV's `projectPoints`. Returns `None` beyond the
+    /// radius at which the polynomial stops growing: no ray from there reaches the image.
     pub fn distort(&self, ideal: DVec2) -> Option<DVec2> {
         let r2 = ideal.length_squared();
         (r2 <= self.limit_r2).then(|| self.polynomial(ideal, r2))
@@ -123,8 +124,8 @@ impl Lens {
         )
     }
 
-    /// Inverts [`Lens::distort`] to within 10⁻¹² focal lengths. Returns `None` if Newton's method finds no point that
-    /// the lens maps to `seen`.
+    /// Inverts [`Lens::distort`] to within 10⁻¹² focal lengths. Returns `None` if Newton's method finds no
+    /// point that the lens maps to `seen`.
     pub fn undistort(&self, seen: DVec2) -> Option<DVec2> {
         const STEPS: u32 = 50;
         const CLOSE: f64 = 1e-12;

@@ -1,7 +1,7 @@
 //! Limits of coordinates and box sizes that files may declare.
 //!
-//! Everything read from a file is checked against these limits, so that later arithmetic (means and ratios of sizes,
-//! squared distances in `f32`) neither overflows nor becomes NaN.
+//! Everything read from a file is checked against these limits, so that later arithmetic (means and ratios of
+//! sizes, squared distances in `f32`) neither overflows nor becomes NaN.
 
 use glam::DVec3;
 

@@ -54,9 +54,9 @@ impl Footprint {
         })
     }
 
-    /// Returns the time interval in which two rectangles overlap while `other` moves at a velocity relative to `self`
-    /// (meters per second) without turning. Seconds from now, may be negative or infinite. `None` if they never
-    /// overlap.
+    /// Returns the time interval in which two rectangles overlap while `other` moves at a velocity relative
+    /// to `self` (meters per second) without turning. Seconds from now, may be negative or infinite. `None`
+    /// if they never overlap.
     pub fn meets(&self, other: &Self, velocity: DVec2) -> Option<Range<f64>> {
         let mut times_s = f64::NEG_INFINITY..f64::INFINITY;
         for axis in self.axes(other) {
@@ -75,8 +75,8 @@ impl Footprint {
         (times_s.start < times_s.end).then_some(times_s)
     }
 
-    /// Returns the smallest local x (meters, along `self`) of the intersection with `other`; `None` if they do not
-    /// overlap.
+    /// Returns the smallest local x (meters, along `self`) of the intersection with `other`; `None` if they
+    /// do not overlap.
     pub fn first_contact_m(&self, other: &Self) -> Option<f64> {
         let mut shape: Vec<DVec2> = other.corners().iter().map(|corner| self.local(*corner)).collect();
         for (axis, half_m) in [(DVec2::X, self.half_m.x), (DVec2::Y, self.half_m.y)] {

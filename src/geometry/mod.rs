@@ -1,8 +1,8 @@
 //! Poses, cameras and boxes. Global coordinates are `f64`.
 //!
-//! Frames: `ego` is x forward, y left, z up; `camera` is x right, y down, z forward; `global` is the map frame. Its
-//! coordinates reach 4·10⁶ m, so an origin is subtracted before a global position becomes `f32`. Transforms are named
-//! target first: `camera_from_ego`.
+//! Frames: `ego` is x forward, y left, z up; `camera` is x right, y down, z forward; `global` is the map
+//! frame. Its coordinates reach 4·10⁶ m, so an origin is subtracted before a global position becomes `f32`.
+//! Transforms are named target first: `camera_from_ego`.
 
 mod camera;
 mod cuboid;

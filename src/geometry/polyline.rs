@@ -16,21 +16,23 @@ pub struct Polyline {
 /// Point of a path that is nearest to a given point (foot).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Foot {
-    /// Arc length from the path's first point, meters; negative or above its length on the straight extensions.
+    /// Arc length from the path's first point, meters; negative or above its length on the straight
+    /// extensions.
     pub station_m: f64,
     /// Signed distance of the point from the path, positive to the left, meters.
     pub offset_m: f64,
 }
 
 impl Polyline {
-    /// Creates a path through points, meters, and skips repeated ones. Returns `None` if fewer than two remain or a
-    /// point is not finite.
+    /// Creates a path through points, meters, and skips repeated ones. Returns `None` if fewer than two
+    /// remain or a point is not finite.
     pub fn new(points: impl IntoIterator<Item = DVec2>) -> Option<Self> {
         Self::with_directions(points, |step| step / step.length())
     }
 
-    /// As [`new`](Self::new), with a function that returns the unit direction of a piece from its vector. Division by
-    /// the length and multiplication by its reciprocal differ in the last bit, which traffic amplifies.
+    /// As [`new`](Self::new), with a function that returns the unit direction of a piece from its vector.
+    /// Division by the length and multiplication by its reciprocal differ in the last bit, which traffic
+    /// amplifies.
     pub fn with_directions(
         points: impl IntoIterator<Item = DVec2>,
         direction: impl Fn(DVec2) -> DVec2,
@@ -67,8 +69,8 @@ impl Polyline {
         self.stations_m[self.stations_m.len() - 1]
     }
 
-    /// Returns the piece that contains a station (meters), as the index of its first point. The first and last piece
-    /// extend beyond the ends.
+    /// Returns the piece that contains a station (meters), as the index of its first point. The first and
+    /// last piece extend beyond the ends.
     pub fn piece(&self, station_m: f64) -> usize {
         let next = self.stations_m.partition_point(|s| *s <= station_m);
         next.clamp(1, self.points.len() - 1) - 1
@@ -101,8 +103,9 @@ impl Polyline {
         best.1
     }
 
-    /// Returns the station of a point's foot on the whole path, and the distance from the path itself, meters. Beyond
-    /// an end, the distance is that to the end, and the station that of the foot on the straight extension.
+    /// Returns the station of a point's foot on the whole path, and the distance from the path itself,
+    /// meters. Beyond an end, the distance is that to the end, and the station that of the foot on the
+    /// straight extension.
     pub fn nearest(&self, point: DVec2) -> (f64, f64) {
         let mut best = (0.0, f64::INFINITY);
         let last = self.directions.len() - 1;

@@ -41,12 +41,12 @@ impl Pose {
     /// Identity transform.
     pub const IDENTITY: Self = Self { rotation: DQuat::IDENTITY, translation: DVec3::ZERO };
 
-    /// Creates a pose from a quaternion `w x y z` and a translation in meters, as stored in files. Normalizes the
-    /// quaternion.
+    /// Creates a pose from a quaternion `w x y z` and a translation in meters, as stored in files. Normalizes
+    /// the quaternion.
     ///
     /// # Errors
-    /// Fails if a number is not finite, the length of the quaternion differs from 1 by more than 10⁻³, or a coordinate
-    /// exceeds [`MAX_COORDINATE_M`].
+    /// Fails if a number is not finite, the length of the quaternion differs from 1 by more than 10⁻³, or a
+    /// coordinate exceeds [`MAX_COORDINATE_M`].
     pub fn from_wxyz([w, x, y, z]: [f64; 4], translation: [f64; 3]) -> Result<Self, PoseError> {
         if let Some(&value) = [w, x, y, z].iter().chain(&translation).find(|v| !v.is_finite()) {
             return Err(PoseError::NotFinite { value });
@@ -73,7 +73,8 @@ impl Pose {
         Self { rotation: DQuat::from_rotation_z(yaw_rad), translation }
     }
 
-    /// Returns the heading of the source frame's x axis in the target's xy plane, radians to the left of its x axis.
+    /// Returns the heading of the source frame's x axis in the target's xy plane, radians to the left of its
+    /// x axis.
     pub fn yaw_rad(&self) -> f64 {
         let forward = self.rotation * DVec3::X;
         forward.y.atan2(forward.x)
@@ -101,8 +102,8 @@ impl Pose {
         DAffine3::from_rotation_translation(self.rotation, self.translation)
     }
 
-    /// Interpolates between `self` (`s = 0`) and `other` (`s = 1`): linear position, slerp rotation along the shorter
-    /// arc.
+    /// Interpolates between `self` (`s = 0`) and `other` (`s = 1`): linear position, slerp rotation along the
+    /// shorter arc.
     pub fn interpolate(&self, other: &Self, s: f64) -> Self {
         Self {
             rotation: self.rotation.slerp(other.rotation, s).normalize(),

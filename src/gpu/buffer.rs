@@ -48,7 +48,8 @@ pub struct Buffer {
     users: Arc<HostAccess>,
 }
 
-/// Host/device access state of a buffer's memory: [`HostAccess::HOST`] while mapped, else the number of pending submits.
+/// Host/device access state of a buffer's memory: [`HostAccess::HOST`] while mapped, else the number of
+/// pending submits.
 #[derive(Debug, Default)]
 pub(super) struct HostAccess(AtomicI32);
 
@@ -73,7 +74,8 @@ impl Buffer {
     /// Fails if memory is exhausted or the size exceeds the device's limits.
     pub fn new(device: &Arc<Device>, desc: &BufferDesc<'_>) -> Result<Self, GpuError> {
         let info = vk::BufferCreateInfo::default().size(desc.size).usage(desc.usage);
-        // SAFETY: the create info contains no pointers; the call or the validation layer reports an invalid one.
+        // SAFETY: the create info contains no pointers; the call or the validation layer reports an invalid
+        // one.
         let raw = unsafe { device.calls().create_buffer(&info, None) }.map_err(call("vkCreateBuffer"))?;
         let (device, name, memory) = (device.clone(), desc.name.to_owned(), desc.memory);
         let mut buffer = Self {
@@ -138,8 +140,8 @@ impl Buffer {
     /// Maps the host memory of a shared buffer.
     ///
     /// # Errors
-    /// Returns [`GpuError::Range`] for device-only memory, and [`GpuError::Busy`] while a submit uses the buffer or
-    /// it is already mapped.
+    /// Returns [`GpuError::Range`] for device-only memory, and [`GpuError::Busy`] while a submit uses the
+    /// buffer or it is already mapped.
     pub fn map(&self) -> Result<Mapped<'_>, GpuError> {
         let (expected, name) = (self.size, self.name.clone());
         // Some drivers map all memory, but only that of the other kinds is coherent.
@@ -148,8 +150,8 @@ impl Buffer {
         let Some(pointer) = pointer else { return Err(GpuError::Range { expected, found: 0, name }) };
         let taken = self.users.0.compare_exchange(0, HostAccess::HOST, Ordering::AcqRel, Ordering::Acquire);
         taken.map_err(|_| GpuError::Busy { name })?;
-        // SAFETY: the allocation is mapped as long as the buffer lives and has at least `size` bytes; no other
-        // access exists, since `users` marks the host as the only user.
+        // SAFETY: the allocation is mapped as long as the buffer lives and has at least `size` bytes; no
+        // other access exists, since `users` marks the host as the only user.
         let bytes = unsafe { std::slice::from_raw_parts_mut(pointer.as_ptr().cast(), self.size as usize) };
         Ok(Mapped { bytes, users: &self.users })
     }

@@ -45,7 +45,8 @@ impl Commands {
         Ok(commands)
     }
 
-    /// Resets the command buffer and starts recording. Recorded resources are borrowed until the commands complete.
+    /// Resets the command buffer and starts recording. Recorded resources are borrowed until the commands
+    /// complete.
     ///
     /// # Errors
     /// Fails if memory is exhausted.
@@ -138,7 +139,8 @@ pub(super) struct Submitted {
 }
 
 impl<'a> Recorder<'a> {
-    /// Ends a stage and measures its time since the previous stamp. At most 15 per submit; further ones are ignored.
+    /// Ends a stage and measures its time since the previous stamp. At most 15 per submit; further ones are
+    /// ignored.
     pub fn stamp(&mut self, stage: &'static str) {
         let query = self.stages.len() as u32 + 1;
         let Some(timer) = self.commands.timer.as_ref().filter(|_| query < Timer::MAX) else { return };
@@ -229,7 +231,8 @@ impl<'a> Recorder<'a> {
         Ok(())
     }
 
-    /// Transitions an image over a buffer to its read layout; needed once, before the first write to the buffer.
+    /// Transitions an image over a buffer to its read layout; needed once, before the first write to the
+    /// buffer.
     pub(crate) fn adopt(&mut self, image: &'a Image) {
         self.transition(image, vk::ImageLayout::UNDEFINED, image.read_layout);
     }
@@ -251,7 +254,8 @@ impl<'a> Recorder<'a> {
             .image(image.raw)
             .subresource_range(super::image::whole(image.format))];
         let flags = vk::DependencyFlags::empty();
-        // SAFETY: recording outside a pass; the image is alive and in the old layout, or its contents are discarded.
+        // SAFETY: recording outside a pass; the image is alive and in the old layout, or its contents are
+        // discarded.
         unsafe {
             self.device().cmd_pipeline_barrier(self.raw(), src_stage, dst_stage, flags, &[], &[], &barriers);
         }
@@ -277,8 +281,8 @@ impl<'a> Recorder<'a> {
         Ok(())
     }
 
-    /// Copies the top left `width × height` pixels of an image to the start of a buffer, as tightly packed rows.
-    /// The image's pass must leave it in the transfer source layout.
+    /// Copies the top left `width × height` pixels of an image to the start of a buffer, as tightly packed
+    /// rows. The image's pass must leave it in the transfer source layout.
     ///
     /// # Errors
     /// Fails if the image or the buffer is too small.
@@ -344,12 +348,12 @@ impl<'a> Recorder<'a> {
         Ok(())
     }
 
-    /// Submits the recorded commands and waits for them. Returns the duration of each stage; without timestamps one
-    /// total, named `gpu`.
+    /// Submits the recorded commands and waits for them. Returns the duration of each stage; without
+    /// timestamps one total, named `gpu`.
     ///
     /// # Errors
-    /// Fails if the device is lost or out of memory, if the validation layer reports any message, or if the host
-    /// has one of the buffers mapped.
+    /// Fails if the device is lost or out of memory, if the validation layer reports any message, or if the
+    /// host has one of the buffers mapped.
     pub fn submit(self) -> Result<Vec<(&'static str, Duration)>, GpuError> {
         let (commands, submitted) = self.start()?;
         commands.wait(submitted)

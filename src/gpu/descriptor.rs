@@ -29,8 +29,8 @@ impl DescriptorSet {
     /// Creates set number `set` of a layout, with `binds` in the order of the bindings.
     ///
     /// # Errors
-    /// Fails if memory is exhausted. Returns [`GpuError::Unsupported`] if the resources do not match the shader's
-    /// bindings or exceed a limit.
+    /// Fails if memory is exhausted. Returns [`GpuError::Unsupported`] if the resources do not match the
+    /// shader's bindings or exceed a limit.
     pub fn new(layout: &PipelineLayout, set: u32, binds: Vec<Bind>) -> Result<Self, GpuError> {
         let device = layout.device();
         let bindings: Vec<_> = layout.bindings().iter().filter(|b| b.set == set).copied().collect();
@@ -112,7 +112,8 @@ impl DescriptorSet {
 
 impl Drop for DescriptorSet {
     fn drop(&mut self) {
-        // SAFETY: no commands use the set (recorders borrow it, submits are waited for); destroying the pool frees it.
+        // SAFETY: no commands use the set (recorders borrow it, submits are waited for); destroying the pool
+        // frees it.
         unsafe { self.device.calls().destroy_descriptor_pool(self.pool, None) };
     }
 }

@@ -64,8 +64,8 @@ impl Device {
     /// Opens a device.
     ///
     /// # Errors
-    /// Fails if there is no Vulkan loader, driver or suitable device, if no device has the requested name, if the
-    /// validation layer is missing, or if that layer reports any message.
+    /// Fails if there is no Vulkan loader, driver or suitable device, if no device has the requested name, if
+    /// the validation layer is missing, or if that layer reports any message.
     pub fn new(desc: &DeviceDesc) -> Result<Arc<Self>, GpuError> {
         check_process()?;
         let instance = Instance::new(desc.validation)?;
@@ -211,8 +211,8 @@ impl Device {
         }
     }
 
-    /// Returns the numbers of allocations, pipelines and descriptor sets created so far. They are constant after a
-    /// program's warm-up.
+    /// Returns the numbers of allocations, pipelines and descriptor sets created so far. They are constant
+    /// after a program's warm-up.
     pub fn made(&self) -> ObjectCounts {
         let count = |counter: &AtomicU64| counter.load(Ordering::Relaxed);
         let [allocations, pipelines, descriptor_sets] = self.made.each_ref().map(count);
@@ -227,7 +227,8 @@ impl Device {
         self.made[2].fetch_add(1, Ordering::Relaxed);
     }
 
-    /// Returns whether host and device share memory, so that the device may write directly to host-visible memory.
+    /// Returns whether host and device share memory, so that the device may write directly to host-visible
+    /// memory.
     pub(crate) fn shares_memory(&self) -> bool {
         matches!(self.facts.kind, vk::PhysicalDeviceType::CPU | vk::PhysicalDeviceType::INTEGRATED_GPU)
     }
@@ -246,8 +247,8 @@ impl Device {
         }
     }
 
-    /// Returns the validation layer's messages since the last check; always empty without validation. The handle
-    /// outlives the device, so that messages about its destruction can be read too.
+    /// Returns the validation layer's messages since the last check; always empty without validation. The
+    /// handle outlives the device, so that messages about its destruction can be read too.
     pub fn validation_messages(&self) -> Arc<Messages> {
         self.instance.messages.clone()
     }
@@ -416,7 +417,8 @@ fn create(
         info = info.enabled_extension_names(&extensions).push_next(&mut atomics);
     }
     let _alone = gate::alone();
-    // SAFETY: the handle comes from this instance; the device has this queue family, these features and the extension.
+    // SAFETY: the handle comes from this instance; the device has this queue family, these features and the
+    // extension.
     unsafe { instance.create_device(physical, &info, None) }.map_err(call("vkCreateDevice"))
 }
 

@@ -7,8 +7,8 @@ use ash::vk;
 use super::{Area, Buffer, DepthTest, DescriptorSet, GpuError, GraphicsPipeline, Indices, Recorder, Target};
 
 impl<'a> Recorder<'a> {
-    /// Begins a render pass on the top left area of a target and clears it: colors to 0, depth to the value of
-    /// its [`DepthTest`].
+    /// Begins a render pass on the top left area of a target and clears it: colors to 0, depth to the value
+    /// of its [`DepthTest`].
     pub fn pass(&mut self, target: &'a Target, area: Area) -> Pass<'_, 'a> {
         let extent = vk::Extent2D {
             width: area.width.min(target.extent.width),
@@ -79,8 +79,8 @@ impl<'a> Pass<'_, 'a> {
         self.indices = Some(indices);
     }
 
-    /// Draws a range of vertices of the bound buffer, or the given number of instances. A pipeline without vertex
-    /// inputs needs no buffer.
+    /// Draws a range of vertices of the bound buffer, or the given number of instances. A pipeline without
+    /// vertex inputs needs no buffer.
     ///
     /// # Errors
     /// Fails if the buffer is too small, or if no pipeline or buffer is bound.

@@ -1,5 +1,5 @@
-//! Drivers that the environment forces upon the Vulkan loader. The loader skips those that it cannot load without a
-//! reason, so the reason is found here.
+//! Drivers that the environment forces upon the Vulkan loader. The loader skips those that it cannot load
+//! without a reason, so the reason is found here.
 
 use std::ffi::OsString;
 use std::fs::File;

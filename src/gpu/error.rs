@@ -82,8 +82,8 @@ pub enum GpuError {
         /// Error of the allocator.
         source: gpu_allocator::AllocationError,
     },
-    /// An access exceeds a buffer or an image, push constants have the wrong size, or a resource is not bound or
-    /// not host-visible (`found` is 0 then).
+    /// An access exceeds a buffer or an image, push constants have the wrong size, or a resource is not bound
+    /// or not host-visible (`found` is 0 then).
     #[error("expected {expected} bytes in {name}, found {found}")]
     Range {
         /// Size of the access, bytes.

@@ -6,11 +6,11 @@ use std::time::Duration;
 use super::commands::{Commands, Submitted};
 use super::{Device, GpuError, Recorder};
 
-/// A frame in flight: a command buffer with resources of its own (`T`: buffers that the host fills and reads) and,
-/// while it runs, a reference to resources shared by all flights (`S`).
+/// A frame in flight: a command buffer with resources of its own (`T`: buffers that the host fills and reads)
+/// and, while it runs, a reference to resources shared by all flights (`S`).
 ///
-/// Recorded commands can only use these two. Neither is dropped or changed before the commands complete. Both own
-/// all of their resources (`'static`), so that a flight which is never dropped keeps them alive too.
+/// Recorded commands can only use these two. Neither is dropped or changed before the commands complete. Both
+/// own all of their resources (`'static`), so that a flight which is never dropped keeps them alive too.
 pub(crate) struct PendingSubmit<S: 'static, T: 'static> {
     commands: Commands,
     own: T,

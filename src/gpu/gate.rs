@@ -1,20 +1,20 @@
 //! The lock between Vulkan calls and the creation and destruction of instances and devices.
 //!
 //! # Why
-//! At the start of every call of every device, the Khronos validation layer looks up the state of the instance or
-//! device in one map per process. Until version 1.4.304 no lock protects that map (`GetLayerDataPtr` in its
-//! `vk_layer_data.h` says so). `vkCreateInstance`, `vkCreateDevice` and their counterparts change it while other
-//! threads read it, and a reader follows a wild or null pointer. Vulkan allows such calls on several threads, so
-//! callers of this module may make them.
+//! At the start of every call of every device, the Khronos validation layer looks up the state of the
+//! instance or device in one map per process. Until version 1.4.304 no lock protects that map
+//! (`GetLayerDataPtr` in its `vk_layer_data.h` says so). `vkCreateInstance`, `vkCreateDevice` and their
+//! counterparts change it while other threads read it, and a reader follows a wild or null pointer. Vulkan
+//! allows such calls on several threads, so callers of this module may make them.
 //!
 //! # How it works
-//! Code that creates or destroys an instance, a messenger or a device holds the lock exclusively ([`alone`]). A
-//! call of an instance or device with a layer holds a share for the duration of the call ([`Calls`]). Without a
-//! layer there is nothing to protect, and the call takes no lock. Each instance has its own messenger, so messages
-//! reach the device that caused them.
+//! Code that creates or destroys an instance, a messenger or a device holds the lock exclusively ([`alone`]).
+//! A call of an instance or device with a layer holds a share for the duration of the call ([`Calls`]).
+//! Without a layer there is nothing to protect, and the call takes no lock. Each instance has its own
+//! messenger, so messages reach the device that caused them.
 //!
-//! To avoid deadlocks, a thread takes one share at a time, takes other locks before its share, and waits for the
-//! device in short calls. Vulkan calls by other code in the process bypass the gate.
+//! To avoid deadlocks, a thread takes one share at a time, takes other locks before its share, and waits for
+//! the device in short calls. Vulkan calls by other code in the process bypass the gate.
 
 use std::ops::Deref;
 use std::sync::{PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard};
@@ -66,8 +66,8 @@ impl<T> Deref for Calls<'_, T> {
     }
 }
 
-/// Detects threads that would deadlock with themselves: a second share waits for a thread that waits for exclusive
-/// access, which waits for the first share.
+/// Detects threads that would deadlock with themselves: a second share waits for a thread that waits for
+/// exclusive access, which waits for the first share.
 #[cfg(debug_assertions)]
 mod nesting {
     use std::cell::Cell;

@@ -34,8 +34,8 @@ impl DeviceIdentity {
         Self { uuid: Some(id.device_uuid), pci: has_pci.then_some(pci) }
     }
 
-    /// Returns whether a text is the UUID (`GPU-6f1c..` or hexadecimal digits) or the PCI address (`0000:65:00.0`, with or
-    /// without the domain) of the device.
+    /// Returns whether a text is the UUID (`GPU-6f1c..` or hexadecimal digits) or the PCI address
+    /// (`0000:65:00.0`, with or without the domain) of the device.
     pub(super) fn is(&self, text: &str) -> bool {
         let text = text.trim();
         (self.uuid.is_some() && self.uuid == uuid(text)) || (self.pci.is_some() && self.pci == pci(text))

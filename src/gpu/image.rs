@@ -78,9 +78,9 @@ impl Image {
         Ok(image)
     }
 
-    /// Creates a sampled image that aliases a buffer's memory: its pixels are the buffer's bytes in tightly packed
-    /// rows. Its read layout is GENERAL, entered by one [`Recorder::adopt`](super::Recorder::adopt). Returns `None`
-    /// if the device does not support such images, this size, or rows without padding.
+    /// Creates a sampled image that aliases a buffer's memory: its pixels are the buffer's bytes in tightly
+    /// packed rows. Its read layout is GENERAL, entered by one [`Recorder::adopt`](super::Recorder::adopt).
+    /// Returns `None` if the device does not support such images, this size, or rows without padding.
     ///
     /// # Errors
     /// Fails if memory is exhausted or the host can map the buffer.
@@ -102,8 +102,8 @@ impl Image {
         let layout = unsafe { device.calls().get_image_subresource_layout(raw, part) };
         let gapless = layout.offset == 0 && layout.row_pitch == u64::from(desc.width) * image.pixel_bytes();
         let Some((memory, offset)) = buffer.memory_for(&needs).filter(|_| gapless) else { return Ok(None) };
-        // SAFETY: the buffer's memory is of a type that the image accepts, large enough and aligned; the image owns
-        // a reference to the buffer, so the memory outlives it.
+        // SAFETY: the buffer's memory is of a type that the image accepts, large enough and aligned; the
+        // image owns a reference to the buffer, so the memory outlives it.
         let bound = unsafe { device.calls().bind_image_memory(raw, memory, offset) };
         bound.map_err(call("vkBindImageMemory"))?;
         image.make_view()?;
@@ -118,7 +118,8 @@ impl Image {
         read_layout: vk::ImageLayout,
     ) -> Result<Self, GpuError> {
         let info = desc.info().tiling(tiling);
-        // SAFETY: the create info contains no pointers; the call or the validation layer reports an invalid one.
+        // SAFETY: the create info contains no pointers; the call or the validation layer reports an invalid
+        // one.
         let raw = unsafe { device.calls().create_image(&info, None) }.map_err(call("vkCreateImage"))?;
         let image = Self {
             device: device.clone(),

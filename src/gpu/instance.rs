@@ -99,7 +99,8 @@ impl Instance {
         &self.raw
     }
 
-    /// Returns the maximum duration of one wait for the device, nanoseconds; short if other threads wait for the call.
+    /// Returns the maximum duration of one wait for the device, nanoseconds; short if other threads wait for
+    /// the call.
     pub(super) fn longest_wait(&self) -> u64 {
         const MILLISECOND: u64 = 1_000_000;
         if self.layered { MILLISECOND } else { u64::MAX }
@@ -113,7 +114,8 @@ impl Instance {
     }
 }
 
-/// Checks that a driver can be loaded: with less address space, drivers are not found, or fail without a reason.
+/// Checks that a driver can be loaded: with less address space, drivers are not found, or fail without a
+/// reason.
 fn check_address_space() -> Result<(), GpuError> {
     match address_space() {
         Some(available) if available.bytes < DRIVER_BYTES => {

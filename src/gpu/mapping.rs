@@ -9,15 +9,15 @@ use crate::files::input::open_regular;
 
 /// The bytes of a file, paged in by the operating system on access.
 ///
-/// Part of this module because mapping needs `unsafe`, which is confined to it, and because a device can import the
-/// memory of a mapped file.
+/// Part of this module because mapping needs `unsafe`, which is confined to it, and because a device can
+/// import the memory of a mapped file.
 #[derive(Debug)]
 pub struct MappedFile(Option<Mmap>);
 
 impl MappedFile {
-    /// Maps a whole file; an empty file has no bytes. The file must not be truncated while it is mapped: accessing
-    /// the lost part terminates the process with a bus error. This program replaces its files only by renaming,
-    /// which leaves existing mappings intact.
+    /// Maps a whole file; an empty file has no bytes. The file must not be truncated while it is mapped:
+    /// accessing the lost part terminates the process with a bus error. This program replaces its files only
+    /// by renaming, which leaves existing mappings intact.
     ///
     /// # Errors
     /// Fails if the file cannot be opened or mapped.
@@ -26,7 +26,8 @@ impl MappedFile {
         if length == 0 {
             return Ok(Self(None)); // an empty mapping is an error of the system
         }
-        // SAFETY: sound as long as no process writes to the file or truncates it, which the contract above demands.
+        // SAFETY: sound as long as no process writes to the file or truncates it, which the contract above
+        // demands.
         let mapped = unsafe { Mmap::map(&file) };
         mapped.map(|map| Self(Some(map))).map_err(FileError::io("map", path))
     }

@@ -8,8 +8,8 @@ use super::error::call;
 use super::image::read_layout;
 use super::{Device, GpuError, Image};
 
-/// Parameters of a render pass: its attachments are cleared at the start (except for [`DepthTest::Equal`]), stored at
-/// the end, and then read.
+/// Parameters of a render pass: its attachments are cleared at the start (except for [`DepthTest::Equal`]),
+/// stored at the end, and then read.
 #[derive(Clone, Debug)]
 pub struct RenderPassDesc<'a> {
     /// Name in validation messages.
@@ -108,7 +108,8 @@ impl RenderPass {
     }
 }
 
-/// Returns the dependencies: earlier reads finish before the pass writes, and later shaders and copies see its writes.
+/// Returns the dependencies: earlier reads finish before the pass writes, and later shaders and copies see
+/// its writes.
 fn dependencies() -> [vk::SubpassDependency; 2] {
     use vk::{AccessFlags as Access, PipelineStageFlags as At};
     let draws = At::COLOR_ATTACHMENT_OUTPUT | At::EARLY_FRAGMENT_TESTS | At::LATE_FRAGMENT_TESTS;
@@ -143,7 +144,8 @@ pub struct Area {
     pub width: u32,
     /// Height, pixels.
     pub height: u32,
-    /// Padding of the viewport on each side, pixels, so that large points with centers outside the area are drawn.
+    /// Padding of the viewport on each side, pixels, so that large points with centers outside the area are
+    /// drawn.
     pub viewport_pad: u32,
 }
 

@@ -121,7 +121,8 @@ pub struct VertexBuffer<'a> {
     pub offsets: &'a [u32],
 }
 
-/// Parameters of a graphics pipeline: opaque, no face culling; tests depth if the pass has a depth attachment.
+/// Parameters of a graphics pipeline: opaque, no face culling; tests depth if the pass has a depth
+/// attachment.
 pub struct GraphicsPipelineDesc<'a> {
     /// Name in validation messages.
     pub name: &'a str,

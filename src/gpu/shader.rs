@@ -87,7 +87,8 @@ pub enum InputFormat {
     U32x4,
 }
 
-/// One module per shader: `SHADER`, and for each named struct its `SIZE` and the offset of each member, bytes.
+/// One module per shader: `SHADER`, and for each named struct its `SIZE` and the offset of each member,
+/// bytes.
 pub mod shaders {
     use super::{Binding, BindingKind, Input, InputFormat, Shader, Stage};
     include!(concat!(env!("OUT_DIR"), "/shaders.rs"));

@@ -1,4 +1,5 @@
-//! Tests that the validation layer is on and that its messages are reported: a check that cannot fail proves nothing.
+//! Tests that the validation layer is on and that its messages are reported: a check that cannot fail proves
+//! nothing.
 
 use std::sync::Arc;
 
@@ -72,7 +73,8 @@ fn a_leak_is_heard_after_the_device_is_gone() {
     let device = device();
     let messages = device.validation_messages();
     let info = ash::vk::FenceCreateInfo::default();
-    // SAFETY: the create info contains no pointers; the fence leaks with the device, which the layer should report.
+    // SAFETY: the create info contains no pointers; the fence leaks with the device, which the layer should
+    // report.
     let leaked = unsafe { device.calls().create_fence(&info, None) };
     assert!(leaked.is_ok());
     drop(device);

@@ -7,8 +7,8 @@ use rustix::process::{Resource, getrlimit};
 
 use crate::geometry::ParseOptionError;
 
-/// Environment variable with the memory that the process may take in total, in place of all other limits: bytes, or a number with
-/// the unit K, M, G or T.
+/// Environment variable with the memory that the process may take in total, in place of all other limits:
+/// bytes, or a number with the unit K, M, G or T.
 pub const VARIABLE: &str = "PSKEL_MEMORY";
 
 /// Memory that this process can still take.
@@ -51,7 +51,8 @@ impl Available {
     }
 }
 
-/// Returns the memory that this process can still take. An invalid value of [`VARIABLE`] is ignored; [`variable_limit`] reports it.
+/// Returns the memory that this process can still take. An invalid value of [`VARIABLE`] is ignored;
+/// [`variable_limit`] reports it.
 pub fn available() -> Available {
     let status = read("/proc/self/status");
     if let Ok(Some(limit)) = variable_limit() {
@@ -70,7 +71,8 @@ pub fn available() -> Available {
         .fold(unknown, |least, other| if other.bytes < least.bytes { other } else { least })
 }
 
-/// Returns the address space that this process can still take, also for reservations and mapped files; `None` without a limit.
+/// Returns the address space that this process can still take, also for reservations and mapped files; `None`
+/// without a limit.
 pub fn address_space() -> Option<Available> {
     address_space_by(&read("/proc/self/status"))
 }
@@ -86,7 +88,8 @@ pub(super) fn taken_bytes() -> u64 {
     taken(&read("/proc/self/status"))
 }
 
-/// Returns the limit that the environment variable [`VARIABLE`] sets, bytes; `None` if it is empty or not set.
+/// Returns the limit that the environment variable [`VARIABLE`] sets, bytes; `None` if it is empty or not
+/// set.
 ///
 /// # Errors
 /// Fails if its value is not a size.
@@ -136,12 +139,13 @@ fn kib(text: &str, name: &str) -> Option<u64> {
     number.checked_mul(1024)
 }
 
-/// Files of a version of control groups: limit, usage, and the entry of `memory.stat` for cached files that can be dropped.
+/// Files of a version of control groups: limit, usage, and the entry of `memory.stat` for cached files that
+/// can be dropped.
 const VERSION_1: [&str; 3] = ["memory.limit_in_bytes", "memory.usage_in_bytes", "total_inactive_file"];
 const VERSION_2: [&str; 3] = ["memory.max", "memory.current", "inactive_file"];
 
-/// Returns the least memory that the control group of this process and its parents still allow; `None` without a limit. `groups` is
-/// `/proc/self/cgroup`, `root` where the groups are mounted.
+/// Returns the least memory that the control group of this process and its parents still allow; `None`
+/// without a limit. `groups` is `/proc/self/cgroup`, `root` where the groups are mounted.
 fn control_group(groups: &str, root: &Path, read: &dyn Fn(&Path) -> Option<String>) -> Option<u64> {
     let of_line = |line: &str| {
         let mut fields = line.splitn(3, ':').skip(1);

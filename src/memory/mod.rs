@@ -1,10 +1,11 @@
 //! One budget of memory for everything whose size is declared by a file, an option or another process.
 //!
 //! # How it works
-//! A camera list of 60 kB can ask for terabytes of maps, and the allocator ends the process when the system refuses. So whoever takes
-//! memory by a declared size first calls [`reserve`] with an estimate ([`Need`]), which is compared with what is
-//! [`available`]: the least that the system, the container, `ulimit -v` or the variable [`VARIABLE`] allow. An error names both numbers.
-//! Reservations whose memory is not taken yet count as taken, so that threads and renderers of one process share the budget.
+//! A camera list of 60 kB can ask for terabytes of maps, and the allocator ends the process when the system
+//! refuses. So whoever takes memory by a declared size first calls [`reserve`] with an estimate ([`Need`]),
+//! which is compared with what is [`available`]: the least that the system, the container, `ulimit -v` or the
+//! variable [`VARIABLE`] allow. An error names both numbers. Reservations whose memory is not taken yet count
+//! as taken, so that threads and renderers of one process share the budget.
 
 mod available;
 
@@ -64,7 +65,8 @@ fn reserved() -> MutexGuard<'static, u64> {
     RESERVED.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Reserves memory before it is taken. The reservation should live as long as the memory, or until all of it is taken.
+/// Reserves memory before it is taken. The reservation should live as long as the memory, or until all of it
+/// is taken.
 ///
 /// # Errors
 /// Fails if less is available.
@@ -75,7 +77,8 @@ pub fn reserve(bytes: u64, need: impl FnOnce() -> Need) -> Result<Reservation, M
 }
 
 impl Reservation {
-    /// Enlarges the reservation to a total of `bytes`, if it is smaller. `need` describes the total; its size is replaced.
+    /// Enlarges the reservation to a total of `bytes`, if it is smaller. `need` describes the total; its size
+    /// is replaced.
     ///
     /// # Errors
     /// Fails if less is available; the reservation then stays as it is.

@@ -11,7 +11,8 @@ use crate::memory::{MemoryError, Need, Reservation, reserve};
 const POINT_BYTES: u64 = 32;
 /// Host memory per point whose copy is in the memory of a device.
 const DEVICE_POINT_BYTES: u64 = 16;
-/// Host memory of visibility buffers per pixel of a view that is rendered in strips: the strips of all threads together.
+/// Host memory of visibility buffers per pixel of a view that is rendered in strips: the strips of all
+/// threads together.
 const STRIP_PIXEL_BYTES: u64 = 2;
 
 /// A rasterizer that reserves the memory of its frames before it renders them.

@@ -62,7 +62,8 @@ impl GroupExtents {
     }
 }
 
-/// A cloud in the order of its chunks. Bounds exclude points with non-finite positions, which are never drawn.
+/// A cloud in the order of its chunks. Bounds exclude points with non-finite positions, which are never
+/// drawn.
 pub(super) struct ChunkedCloud<'a> {
     points: &'a [Point],
     /// Cloud index of each point in chunk order; `None` for the cloud's own order.

@@ -123,8 +123,8 @@ impl Frustum {
     }
 }
 
-/// Returns the blocks of a cloud that may be visible in some rows of a view `width` pixels wide, in point order. The
-/// view is padded by `pad` pixels for the squares of points.
+/// Returns the blocks of a cloud that may be visible in some rows of a view `width` pixels wide, in point
+/// order. The view is padded by `pad` pixels for the squares of points.
 pub(super) fn seen_blocks(
     cloud: &ChunkedCloud<'_>,
     draw: &Draw,
@@ -171,7 +171,8 @@ pub(super) fn joined(blocks: &[VisibleRange]) -> Vec<VisibleRange> {
 mod tests {
     use super::*;
 
-    /// A camera at the origin with focal length 100 that looks along z, 300 × 200 pixels; a crop of 30 m in x and z.
+    /// A camera at the origin with focal length 100 that looks along z, 300 × 200 pixels; a crop of 30 m in x
+    /// and z.
     fn frustum() -> Frustum {
         let draw = Draw {
             cloud: 0,

@@ -47,8 +47,8 @@ pub struct Draw {
     pub cloud: usize,
     /// Row-major 3×4: local homogeneous coordinates to `(x·z, y·z, z)`, pixels and meters.
     pub image_from_local: [[f32; 4]; 3],
-    /// Row-major 2×4: local homogeneous coordinates to x and y relative to the crop's center, meters. A point is
-    /// drawn if both are within ± [`Draw::crop_radius_m`]. Zeros without a crop.
+    /// Row-major 2×4: local homogeneous coordinates to x and y relative to the crop's center, meters. A point
+    /// is drawn if both are within ± [`Draw::crop_radius_m`]. Zeros without a crop.
     pub crop_from_local: [[f32; 4]; 2],
     /// Half of the crop's side length, meters.
     pub crop_radius_m: f32,
@@ -65,8 +65,9 @@ impl Draw {
     }
 }
 
-/// Returns the draws of a job: matrices multiplied out in `f64`, instances that cannot reach the image omitted (the
-/// numbering still counts their points). `clouds` contains the length and bounds of each resident cloud.
+/// Returns the draws of a job: matrices multiplied out in `f64`, instances that cannot reach the image
+/// omitted (the numbering still counts their points). `clouds` contains the length and bounds of each
+/// resident cloud.
 ///
 /// # Errors
 /// Fails for an unknown cloud, and for more than 2³² − 2 points.

@@ -25,8 +25,8 @@ pub struct FrameJob<'a> {
     pub schedule: &'a SplatSchedule,
     /// Cloud for the color map. Earlier instances win depth ties.
     pub color: &'a [Instance],
-    /// Cloud for all other maps; point numbers are consecutive across it. Instances that both clouds share at the
-    /// same position of their order are splatted once.
+    /// Cloud for all other maps; point numbers are consecutive across it. Instances that both clouds share at
+    /// the same position of their order are splatted once.
     pub geometry: &'a [Instance],
     /// Occlusion of actors (instances of the geometry cloud with a number above 0).
     pub occlusion: Occlusion,
@@ -34,8 +34,8 @@ pub struct FrameJob<'a> {
     pub crop: Option<Crop>,
     /// Maps to render; only those of [`MapSet::SPLATTED`] count.
     pub maps: MapSet,
-    /// Size that all maps are reduced to: color as OpenCV's INTER_LINEAR, all others as its INTER_NEAREST. `None`
-    /// for the size of each view.
+    /// Size that all maps are reduced to: color as OpenCV's INTER_LINEAR, all others as its INTER_NEAREST.
+    /// `None` for the size of each view.
     pub out_size: Option<ImageSize>,
 }
 
@@ -46,20 +46,21 @@ impl FrameJob<'_> {
     }
 }
 
-/// Maps of one view, row-major `height * width`; a map that was not requested has length 0. Borrows the memory that
-/// the device wrote where possible.
+/// Maps of one view, row-major `height * width`; a map that was not requested has length 0. Borrows the
+/// memory that the device wrote where possible.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ViewMaps<'a> {
     /// Size of all maps.
     pub size: ImageSize,
-    /// `r | g << 8 | b << 16 | class << 24`; zero where empty, and in the bytes of a map that was not requested.
-    /// Length 0 if neither color nor class is requested.
+    /// `r | g << 8 | b << 16 | class << 24`; zero where empty, and in the bytes of a map that was not
+    /// requested. Length 0 if neither color nor class is requested.
     pub rgb_class: Plane<'a, u32>,
     /// Camera depth in meters, `f32::INFINITY` where empty.
     pub depth_m: Plane<'a, f32>,
     /// [`Instance::number`] of the winning point, 0 where empty.
     pub instance: Plane<'a, u32>,
-    /// Number of the winning point + 1, 0 where empty. Points are numbered across the geometry instances in order.
+    /// Number of the winning point + 1, 0 where empty. Points are numbered across the geometry instances in
+    /// order.
     pub point: Plane<'a, u32>,
 }
 

@@ -11,8 +11,8 @@ use crate::gpu::{Device, DeviceDesc, GpuError};
 /// Choice of rasterizer; all produce the same maps.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum RasterizerKind {
-    /// The fastest one: `compute` or else `graphics` on a GPU, `cpu` without one. `cpu` is not chosen if a device is
-    /// named, its memory is limited or validation is on.
+    /// The fastest one: `compute` or else `graphics` on a GPU, `cpu` without one. `cpu` is not chosen if a
+    /// device is named, its memory is limited or validation is on.
     #[default]
     Auto,
     /// Vulkan compute shaders; needs 64-bit atomics.
@@ -56,8 +56,8 @@ pub struct RasterizerDesc {
     /// Part of the device's name, or its index; by default the environment variable `PSKEL_DEVICE`, then
     /// the best device.
     pub device: Option<String>,
-    /// Memory budget for points on the device, bytes (20 per point). Beyond it positions are streamed, which only
-    /// the compute rasterizer supports. `None` for no limit. The `cpu` rasterizer ignores it.
+    /// Memory budget for points on the device, bytes (20 per point). Beyond it positions are streamed, which
+    /// only the compute rasterizer supports. `None` for no limit. The `cpu` rasterizer ignores it.
     pub memory_bytes: Option<u64>,
     /// Whether the `cpu` rasterizer skips points that nearer ones hide. The maps do not depend on it.
     pub occlusion_culling: bool,
@@ -78,8 +78,9 @@ impl From<RasterizerKind> for RasterizerDesc {
 /// Creates a rasterizer with these resident clouds. `PSKEL_VALIDATION=1` turns on validation.
 ///
 /// # Errors
-/// Fails if there is no device (never for [`RasterizerKind::Cpu`], and not for [`RasterizerKind::Auto`] if nothing
-/// asks for a device), if the named device is unknown or lacks a required feature, or if more memory is needed than available.
+/// Fails if there is no device (never for [`RasterizerKind::Cpu`], and not for [`RasterizerKind::Auto`] if
+/// nothing asks for a device), if the named device is unknown or lacks a required feature, or if more memory
+/// is needed than available.
 pub fn create<'a>(
     desc: &RasterizerDesc,
     clouds: CloudSet<'a>,

@@ -39,7 +39,8 @@ impl Layers {
         Self { color, geometry, actors, ..layers }
     }
 
-    /// Returns the layers where both clouds have the same instances: color is read from the layer of the geometry.
+    /// Returns the layers where both clouds have the same instances: color is read from the layer of the
+    /// geometry.
     pub(super) fn shared(self) -> Self {
         Self { color: self.color.map(|color| self.geometry.unwrap_or(color)), ..self }
     }
@@ -68,7 +69,8 @@ impl Layers {
             let (instance, in_color, in_geometry) = match (color.first(), geometry.first()) {
                 (None, None) => return merged,
                 (Some(c), Some(g)) if c == g => (c, true, true),
-                // Differing lists advance in the order of actors, so that the next instances can be shared again.
+                // Differing lists advance in the order of actors, so that the next instances can be shared
+                // again.
                 (Some(c), Some(g)) if c.number <= g.number => (c, true, false),
                 (Some(c), None) => (c, true, false),
                 (_, Some(g)) => (g, false, true),

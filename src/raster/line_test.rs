@@ -19,9 +19,9 @@ pub(super) struct LineTest {
 }
 
 impl LineTest {
-    /// Creates the test of a segment that can reach a `width × height` image. Returns `None` for segments that
-    /// cannot, of zero length, or with non-finite numbers. Parts far outside are clipped first, in `f64`; the rest
-    /// is small enough for exact positions in `f32`.
+    /// Creates the test of a segment that can reach a `width × height` image. Returns `None` for segments
+    /// that cannot, of zero length, or with non-finite numbers. Parts far outside are clipped first, in
+    /// `f64`; the rest is small enough for exact positions in `f32`.
     pub(super) fn new(segment: &Segment, half_width: f32, size: [u32; 2]) -> Option<Self> {
         if !(half_width > 0.0 && half_width.is_finite()) {
             return None;
@@ -81,8 +81,8 @@ impl LineTest {
     }
 }
 
-/// Intersects `reach` with the numbers whose product with `factor` lies in a range. Returns `None` if `factor` is
-/// zero and the range excludes zero.
+/// Intersects `reach` with the numbers whose product with `factor` lies in a range. Returns `None` if
+/// `factor` is zero and the range excludes zero.
 fn within(reach: &mut [f64; 2], factor: f64, [low, high]: [f64; 2]) -> Option<()> {
     if factor == 0.0 {
         return (low <= 0.0 && 0.0 <= high).then_some(());
@@ -113,8 +113,8 @@ fn clip(segment: &Segment, margin: f64, size: [u32; 2]) -> Option<([f32; 2], [f3
     Some((from.map(|v| v as f32), to.map(|v| v as f32)))
 }
 
-/// Returns the intersection of the line from `inside` to `outside` with a border, computed from `inside`, where
-/// numbers are small.
+/// Returns the intersection of the line from `inside` to `outside` with a border, computed from `inside`,
+/// where numbers are small.
 fn cut(inside: [f64; 2], outside: [f64; 2], axis: usize, border: f64) -> [f64; 2] {
     let share = (border - inside[axis]) / (outside[axis] - inside[axis]);
     let mut point = [0, 1].map(|i| inside[i] + (outside[i] - inside[i]) * share);

@@ -1,8 +1,8 @@
 //! Line rasterization on the host, row by row.
 //!
 //! # How it works
-//! Layouts are mostly black, so visiting all of their pixels would dominate the cost. [`LineRows`] computes the
-//! covered columns of each row from [`LineTest`]s, and callers touch only these.
+//! Layouts are mostly black, so visiting all of their pixels would dominate the cost. [`LineRows`] computes
+//! the covered columns of each row from [`LineTest`]s, and callers touch only these.
 
 use std::ops::Range;
 
@@ -30,9 +30,9 @@ struct Line {
 }
 
 impl LineRows {
-    /// Prepares segments `width_px` wide with butt ends, later ones over earlier ones, in an image of this size. A
-    /// pixel is covered if its center lies in the segment's rectangle. Segments of zero length, with non-finite
-    /// coordinates, or outside the image cover nothing.
+    /// Prepares segments `width_px` wide with butt ends, later ones over earlier ones, in an image of this
+    /// size. A pixel is covered if its center lies in the segment's rectangle. Segments of zero length, with
+    /// non-finite coordinates, or outside the image cover nothing.
     pub(crate) fn new(segments: &[Segment], size: ImageSize, width_px: f32) -> Self {
         Self::of_widths(segments.iter().map(|segment| (segment, width_px)), size)
     }
@@ -50,8 +50,8 @@ impl LineRows {
         Self { width: size.width, lines, waiting, active: Vec::new() }
     }
 
-    /// Calls `paint` with the columns and the color of each line in a row, in drawing order. Rows must be requested
-    /// in ascending order.
+    /// Calls `paint` with the columns and the color of each line in a row, in drawing order. Rows must be
+    /// requested in ascending order.
     pub(crate) fn row(&mut self, row: u32, mut paint: impl FnMut(Range<usize>, [u8; 3])) {
         let lines = &self.lines;
         self.active.retain(|number| lines[*number as usize].rows.end > row);
@@ -81,8 +81,8 @@ impl LineRows {
     }
 }
 
-/// Draws segments `width_px` wide with butt ends, later ones over earlier ones, on black. A pixel is covered if its
-/// center lies in the segment's rectangle. Returns `height * width` RGB pixels.
+/// Draws segments `width_px` wide with butt ends, later ones over earlier ones, on black. A pixel is covered
+/// if its center lies in the segment's rectangle. Returns `height * width` RGB pixels.
 pub fn draw_lines(segments: &[Segment], size: ImageSize, width_px: f32) -> Vec<[u8; 3]> {
     LineRows::new(segments, size, width_px).image(size)
 }
@@ -113,7 +113,8 @@ mod tests {
         (*state >> 33) % n
     }
 
-    /// Ends in the image, around it, far away, coincident or non-finite; often horizontal, vertical or nearly so.
+    /// Ends in the image, around it, far away, coincident or non-finite; often horizontal, vertical or nearly
+    /// so.
     fn random_segment(state: &mut u64) -> Segment {
         let mut end = || -> [f32; 2] {
             let reach = [1.0, 2.0, 100.0, 1e7, 1e30][below(state, 5) as usize];

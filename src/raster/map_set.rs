@@ -6,8 +6,8 @@ use serde::{Serialize, Serializer};
 use crate::geometry::ParseOptionError;
 use crate::gpu::shaders::resolve_full_wgsl_both as shader;
 
-/// Kind of map. The value is its bit in a [`MapSet`]; the kinds that a rasterizer renders have the bits of the resolve
-/// shaders.
+/// Kind of map. The value is its bit in a [`MapSet`]; the kinds that a rasterizer renders have the bits of
+/// the resolve shaders.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 #[repr(u32)]

@@ -8,7 +8,8 @@ pub struct SplatMaps {
     pub width: u32,
     /// Height, pixels.
     pub height: u32,
-    /// Number of the winning point + 1, 0 where empty. Points are numbered across the job's instances in order.
+    /// Number of the winning point + 1, 0 where empty. Points are numbered across the job's instances in
+    /// order.
     pub point: Vec<u32>,
     /// Camera depth in meters, `f32::INFINITY` where empty.
     pub depth_m: Vec<f32>,

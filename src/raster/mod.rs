@@ -1,10 +1,11 @@
 //! The splat rasterizers: one interface, implementations with identical output.
 //!
 //! # How it works
-//! A rasterizer is created once from all clouds of a scene ([`CloudSet`]), which then stay resident. Per frame and
-//! view only the camera and the [`Instance`]s (posed clouds) change. [`Draw`]s contain their poses and projections as
-//! `f32` matrices multiplied out in `f64`. `cpu` and `graphics` cull whole instances by bounds ([`draws_from_job`]),
-//! `compute` culls parts of them. All do the same `f32` operations in the same order, so the maps agree to the pixel.
+//! A rasterizer is created once from all clouds of a scene ([`CloudSet`]), which then stay resident. Per
+//! frame and view only the camera and the [`Instance`]s (posed clouds) change. [`Draw`]s contain their poses
+//! and projections as `f32` matrices multiplied out in `f64`. `cpu` and `graphics` cull whole instances by
+//! bounds ([`draws_from_job`]), `compute` culls parts of them. All do the same `f32` operations in the same
+//! order, so the maps agree to the pixel.
 //!
 //! ```
 //! use point_skeleton::raster::{Instance, MapSet, RasterizerKind, SplatJob, SplatSchedule, create};
@@ -129,7 +130,8 @@ pub trait Rasterizer: Send {
     /// Returns the rasterizer, device and driver.
     fn info(&self) -> RasterizerInfo;
 
-    /// Begins a frame: all views of the job. The device may work on it until [`Rasterizer::finish`] waits for it.
+    /// Begins a frame: all views of the job. The device may work on it until [`Rasterizer::finish`] waits for
+    /// it.
     ///
     /// # Errors
     /// Fails on any device error, for an unknown cloud, for more than 2³² − 2 points, and for more than

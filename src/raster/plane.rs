@@ -5,8 +5,8 @@ use bytemuck::Pod;
 
 use crate::gpu::Mapped;
 
-/// Values of one map: owned, or in the memory that the rasterizer wrote. It reuses that memory only after all planes
-/// of a frame are dropped.
+/// Values of one map: owned, or in the memory that the rasterizer wrote. It reuses that memory only after all
+/// planes of a frame are dropped.
 #[derive(Clone)]
 pub struct Plane<'a, T>(Place<'a, T>);
 

@@ -5,8 +5,8 @@ use rayon::prelude::*;
 
 use crate::geometry::ImageSize;
 
-/// Returns the source index of each output index, as OpenCV's INTER_NEAREST: `floor(i · (1 / (out / in)))`, in
-/// `f64` and in exactly this order of operations.
+/// Returns the source index of each output index, as OpenCV's INTER_NEAREST: `floor(i · (1 / (out / in)))`,
+/// in `f64` and in exactly this order of operations.
 pub fn nearest_indices(from: u32, to: u32) -> Vec<u32> {
     let step = 1.0 / (f64::from(to) / f64::from(from));
     (0..to).map(|i| ((f64::from(i) * step).floor() as u32).min(from - 1)).collect()
@@ -30,7 +30,8 @@ pub(super) struct Tap {
     pub(super) weight: [i32; 2],
 }
 
-/// Returns the taps per output index: half-pixel centers, no antialiasing; the fraction is `f32` as in OpenCV.
+/// Returns the taps per output index: half-pixel centers, no antialiasing; the fraction is `f32` as in
+/// OpenCV.
 pub(super) fn taps(from: u32, to: u32) -> Vec<Tap> {
     let scale = f64::from(from) / f64::from(to);
     let last = from as usize - 1;
@@ -45,8 +46,8 @@ pub(super) fn taps(from: u32, to: u32) -> Vec<Tap> {
     (0..to).map(tap).collect()
 }
 
-/// Downscales 8-bit RGB with OpenCV's INTER_LINEAR in its fixed-point arithmetic: 11-bit weights in each direction,
-/// and the four bits that its vector code drops between the two passes.
+/// Downscales 8-bit RGB with OpenCV's INTER_LINEAR in its fixed-point arithmetic: 11-bit weights in each
+/// direction, and the four bits that its vector code drops between the two passes.
 pub fn bilinear(map: &[[u8; 3]], from: ImageSize, to: ImageSize) -> Vec<[u8; 3]> {
     let columns = taps(from.width, to.width);
     let rows = taps(from.height, to.height);

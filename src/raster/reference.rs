@@ -1,7 +1,8 @@
-//! CPU reference of the splat shaders in Rust: the oracle of the tests, and a rasterizer that needs no driver.
+//! CPU reference of the splat shaders in Rust: the oracle of the tests, and a rasterizer that needs no
+//! driver.
 //!
-//! Every `f32` operation is in the same order as in `glsl/splat.vert` and `glsl/project.wgsl`. Neither side fuses
-//! multiplications with additions (the shaders by `NoContraction`), so the results are bit-exact.
+//! Every `f32` operation is in the same order as in `glsl/splat.vert` and `glsl/project.wgsl`. Neither side
+//! fuses multiplications with additions (the shaders by `NoContraction`), so the results are bit-exact.
 
 use std::time::Instant;
 

@@ -47,8 +47,8 @@ pub fn tiles(width: u32, height: u32, limits: TileLimits) -> Vec<Tile> {
     tiles
 }
 
-/// Returns the size of images that replace images of size `current` and hold `needed` pixels per side. No side
-/// shrinks, so that views of different sizes share them, unless the area would exceed the limit.
+/// Returns the size of images that replace images of size `current` and hold `needed` pixels per side. No
+/// side shrinks, so that views of different sizes share them, unless the area would exceed the limit.
 pub fn grown(current: [u32; 2], needed: [u32; 2], limits: TileLimits) -> [u32; 2] {
     let both = [current[0].max(needed[0]), current[1].max(needed[1])];
     let fits = u64::from(both[0]) * u64::from(both[1]) <= u64::from(limits.area);

@@ -16,7 +16,8 @@ pub fn name_of_time(t_us: i64) -> String {
     t_us.to_string()
 }
 
-/// Displacement of the ego in its own frame. Text form: `forward_m=1,left_m=2,yaw_deg=5`, of which any part may be omitted.
+/// Displacement of the ego in its own frame. Text form: `forward_m=1,left_m=2,yaw_deg=5`, of which any part
+/// may be omitted.
 #[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize)]
 pub struct EgoOffset {
     /// Forward, meters.
@@ -83,8 +84,9 @@ impl SceneState {
     }
 }
 
-/// Returns the state at a frame of a log; `None` if there is no such frame. Each camera uses the ego pose of its own
-/// image, or the frame's if it has no image. Actors use their boxes at the frame's time. The HD map is not set.
+/// Returns the state at a frame of a log; `None` if there is no such frame. Each camera uses the ego pose of
+/// its own image, or the frame's if it has no image. Actors use their boxes at the frame's time. The HD map
+/// is not set.
 pub fn state_of_frame(log: &Recording, index: usize, offset: EgoOffset) -> Option<SceneState> {
     let frame = log.frames.get(index)?;
     let own_pose =
@@ -103,9 +105,9 @@ pub fn state_of_frame(log: &Recording, index: usize, offset: EgoOffset) -> Optio
     })
 }
 
-/// Returns the state of some images of a log, at most one per camera: each camera uses the ego pose of its image, and there
-/// are no other cameras. Ego and actors are interpolated to `t_us`, microseconds. `None` outside the log. `ego` holds the
-/// log's ego poses. The HD map is not set.
+/// Returns the state of some images of a log, at most one per camera: each camera uses the ego pose of its
+/// image, and there are no other cameras. Ego and actors are interpolated to `t_us`, microseconds. `None`
+/// outside the log. `ego` holds the log's ego poses. The HD map is not set.
 pub fn state_of_images(
     log: &Recording,
     ego: &EgoTrack,
@@ -117,14 +119,14 @@ pub fn state_of_images(
     Some(SceneState { cameras, ..state_of(log, t_us, ego.at(t_us)?, &log.boxes_at(t_us)) })
 }
 
-/// Returns the state at any time within the log; `None` outside it. All cameras share the ego pose at that instant;
-/// ego and actors are interpolated. `ego` holds the log's ego poses. The HD map is not set.
+/// Returns the state at any time within the log; `None` outside it. All cameras share the ego pose at that
+/// instant; ego and actors are interpolated. `ego` holds the log's ego poses. The HD map is not set.
 pub fn state_at(log: &Recording, ego: &EgoTrack, t_us: i64, offset: EgoOffset) -> Option<SceneState> {
     Some(state_of(log, t_us, ego.at(t_us)? * offset.pose(), &log.boxes_at(t_us)))
 }
 
-/// Returns the state for any ego pose and boxes of a log's tracks at any time. All cameras share the ego pose and
-/// have the calibration of the nearest frame. The state is named after the time; the HD map is not set.
+/// Returns the state for any ego pose and boxes of a log's tracks at any time. All cameras share the ego pose
+/// and have the calibration of the nearest frame. The state is named after the time; the HD map is not set.
 pub fn state_of(log: &Recording, t_us: i64, global_from_ego: Pose, boxes: &[TrackBox]) -> SceneState {
     let nearest = log.frames.iter().min_by_key(|f| f.t_us.abs_diff(t_us));
     let rig = nearest.map_or_else(|| log.rig.clone(), |frame| rig_at(log, frame));
@@ -149,7 +151,8 @@ pub fn with_cameras(mut state: SceneState, views: &[View]) -> SceneState {
     state
 }
 
-/// Returns all cameras of a log with the calibration of a frame's images, or the rig's where a camera has no image.
+/// Returns all cameras of a log with the calibration of a frame's images, or the rig's where a camera has no
+/// image.
 fn rig_at(log: &Recording, frame: &Frame) -> Vec<RigCamera> {
     let camera = |channel: usize| {
         let of_image = frame.images.iter().find(|i| i.channel == channel).map(RigCamera::from);

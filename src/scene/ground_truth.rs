@@ -44,15 +44,15 @@ impl<'a> GroundTruthImages<'a> {
         Ok(rectified(self.reader.read_image(record)?, &record.camera))
     }
 
-    /// Returns whether ground truth is available: always in a synthetic log, in a recorded log only if the ego and the
-    /// actors follow the log.
+    /// Returns whether ground truth is available: always in a synthetic log, in a recorded log only if the
+    /// ego and the actors follow the log.
     pub fn are_known(&self, ego_follows_log: bool, actors_follow_log: bool) -> bool {
         self.reader.view_renderer().is_some() || ego_follows_log && actors_follow_log
     }
 
-    /// Returns the ground-truth images of all cameras of a state, resized to `size`. In a synthetic log, the views
-    /// are mapped by `drawn` and rendered, with the actors of the state unless they follow the log. In a recorded log,
-    /// each camera gets its image that is nearest in time, with the lens distortion removed.
+    /// Returns the ground-truth images of all cameras of a state, resized to `size`. In a synthetic log, the
+    /// views are mapped by `drawn` and rendered, with the actors of the state unless they follow the log. In
+    /// a recorded log, each camera gets its image that is nearest in time, with the lens distortion removed.
     ///
     /// # Errors
     /// Returns an error if the views cannot be rendered, or if an image is missing or damaged.

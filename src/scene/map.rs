@@ -1,9 +1,9 @@
 //! HD map of a log with ground heights from the ego's trajectory.
 //!
 //! # How it works
-//! The source map is 2D (x and y). Each corner of an outline gets the height of the nearest ego origin of the log,
-//! found in x and y with an R-tree. A second R-tree indexes the edges, so the cost of a step does not grow with the
-//! size of the map.
+//! The source map is 2D (x and y). Each corner of an outline gets the height of the nearest ego origin of the
+//! log, found in x and y with an R-tree. A second R-tree indexes the edges, so the cost of a step does not
+//! grow with the size of the map.
 
 use std::fmt;
 use std::sync::Arc;
@@ -57,8 +57,8 @@ impl SceneMap {
         Ok(dataset.read_map()?.map(|map| Arc::new(Self::new(map, dataset.recording()))))
     }
 
-    /// Assigns ground heights from a log to a map. Skips edges with coordinates that are not finite, and all edges if
-    /// the log has no ego pose and thus no heights.
+    /// Assigns ground heights from a log to a map. Skips edges with coordinates that are not finite, and all
+    /// edges if the log has no ego pose and thus no heights.
     pub fn new(map: VectorMap, log: &Recording) -> Self {
         let ground = Ground::of(log);
         let lanes = map.lanes.iter().map(|lane| (MapLayer::Lane, &lane.outline));
@@ -87,7 +87,8 @@ impl SceneMap {
         &self.edges
     }
 
-    /// Returns the edges whose bounding rectangle intersects a window in x and y (global, meters), in drawing order.
+    /// Returns the edges whose bounding rectangle intersects a window in x and y (global, meters), in drawing
+    /// order.
     pub fn edges_within(&self, min: DVec2, max: DVec2) -> Vec<MapEdge> {
         let window = AABB::from_corners(min.to_array(), max.to_array());
         let mut numbers: Vec<usize> =

@@ -1,5 +1,5 @@
-//! Scene state of one step (ego, cameras, actors) and the clouds that represent it: the input of the rasterizer and
-//! the layout.
+//! Scene state of one step (ego, cameras, actors) and the clouds that represent it: the input of the
+//! rasterizer and the layout.
 
 mod from_log;
 mod ground_truth;

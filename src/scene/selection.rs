@@ -35,7 +35,8 @@ impl Default for SelectionOptions {
     }
 }
 
-/// Color and geometry clouds of a step, as instances: background first (number 0), then actors (number = index + 1).
+/// Color and geometry clouds of a step, as instances: background first (number 0), then actors (number =
+/// index + 1).
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct SceneInstances {
     /// Shown in the color map.
@@ -163,7 +164,8 @@ impl<'a> SceneClouds<'a> {
     }
 }
 
-/// Returns `box_from_template`, which scales a template's box to an actor's about their common center, meters.
+/// Returns `box_from_template`, which scales a template's box to an actor's about their common center,
+/// meters.
 fn fit(how: TemplateFit, template_size_m: DVec3, size_m: DVec3) -> DAffine3 {
     match how {
         TemplateFit::Box => DAffine3::from_scale(size_m / template_size_m.max(DVec3::splat(1e-3))),
@@ -194,8 +196,8 @@ mod tests {
         (Template { kind, class: kind.class(), size: [2.0; 3], points, bounds, xxh3 }, cloud)
     }
 
-    /// One background chunk; car "big" with 30 points, car "small" with 10, truck "truck" with 10; one template of
-    /// sedans and one of pedestrians.
+    /// One background chunk; car "big" with 30 points, car "small" with 10, truck "truck" with 10; one
+    /// template of sedans and one of pedestrians.
     fn skeleton(folder: &std::path::Path) -> Skeleton {
         let asset = |track: &str, category: &str, count: usize| {
             let (points, bounds) = cube(count);
@@ -329,7 +331,8 @@ mod tests {
         assert_eq!(SceneClouds::clouds(&skeleton).unwrap().len(), 6);
     }
 
-    /// A degraded asset of color maps leaves the geometry, and the count of points that decides on it, as they are.
+    /// A degraded asset of color maps leaves the geometry, and the count of points that decides on it, as
+    /// they are.
     #[test]
     fn color_maps_may_have_other_assets() {
         let folder = tempfile::tempdir().unwrap();

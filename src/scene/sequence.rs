@@ -40,11 +40,12 @@ enum Step {
 }
 
 impl<'a> SceneSequence<'a> {
-    /// Creates the sequence of a log at some times. `views` replace the cameras of the log and are fixed in the global
-    /// frame; `map` is the HD map of all states.
+    /// Creates the sequence of a log at some times. `views` replace the cameras of the log and are fixed in
+    /// the global frame; `map` is the HD map of all states.
     ///
     /// # Errors
-    /// Fails if the rate is out of range, if a time occurs twice or is outside the log, if there are no times, or if there are no cameras.
+    /// Fails if the rate is out of range, if a time occurs twice or is outside the log, if there are no
+    /// times, or if there are no cameras.
     pub fn new(
         log: &'a Recording,
         times: LogTimes,
@@ -162,8 +163,8 @@ pub enum SequenceError {
     NoPose,
 }
 
-/// Returns the times from the first to the last frame at a rate: the first one and every `1 / hz` seconds, each
-/// rounded to microseconds separately, so that they do not drift.
+/// Returns the times from the first to the last frame at a rate: the first one and every `1 / hz` seconds,
+/// each rounded to microseconds separately, so that they do not drift.
 fn times_at_rate(frames: &[Frame], hz: f64) -> impl Iterator<Item = i64> {
     let ends = frames.first().zip(frames.last()).map(|(first, last)| [first.t_us, last.t_us]);
     ends.into_iter().flat_map(move |[first, last]| {

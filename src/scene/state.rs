@@ -37,8 +37,8 @@ pub struct SceneCamera {
 pub struct ActorState {
     /// Track id.
     pub track: String,
-    /// Dotted category as in nuScenes, like `vehicle.car`, to which the reader maps the names of the data set. It
-    /// determines class, color of the box, and template.
+    /// Dotted category as in nuScenes, like `vehicle.car`, to which the reader maps the names of the data
+    /// set. It determines class, color of the box, and template.
     pub category: String,
     /// Coarse class.
     pub class: Class,

@@ -117,7 +117,8 @@ impl SubstituteOptions {
         Self { augment, ..Self::default() }
     }
 
-    /// Returns the fingerprint of the template library, see [`TemplateLibrary::fingerprint_at`]; `None` without one.
+    /// Returns the fingerprint of the template library, see [`TemplateLibrary::fingerprint_at`]; `None`
+    /// without one.
     ///
     /// # Errors
     /// Fails if it cannot be read.
@@ -128,7 +129,8 @@ impl SubstituteOptions {
     /// Reads templates, degrades the assets of a log, and returns both with a report.
     ///
     /// # Errors
-    /// Fails if the template library cannot be read, or if points of the skeleton do not match their checksum.
+    /// Fails if the template library cannot be read, or if points of the skeleton do not match their
+    /// checksum.
     pub fn make(&self, skeleton: &Skeleton, log: &str) -> Result<(Substitutes, SubstituteReport), FileError> {
         let own = skeleton.manifest.templates.iter().map(|t| (t.kind, TemplateOrigin::Skeleton));
         let mut origins: BTreeMap<TemplateKind, TemplateOrigin> = own.collect();

@@ -1,5 +1,5 @@
-//! Instance augmentation: degraded assets for training, as assets at inference are often sparse or seen from one side
-//! only.
+//! Instance augmentation: degraded assets for training, as assets at inference are often sparse or seen from
+//! one side only.
 
 use std::collections::BTreeSet;
 use std::f64::consts::{FRAC_PI_4, FRAC_PI_6};
@@ -64,8 +64,8 @@ pub enum Augmentation {
     },
 }
 
-/// Returns an asset unchanged, thinned, or reduced to one camera's view. `points` are in box coordinates (meters) and
-/// remain in order. The result depends only on the points, the track's id and the options.
+/// Returns an asset unchanged, thinned, or reduced to one camera's view. `points` are in box coordinates
+/// (meters) and remain in order. The result depends only on the points, the track's id and the options.
 pub fn augment(points: &[Point], track: &str, options: &AugmentOptions) -> (Vec<Point>, Augmentation) {
     // ChaCha, and the SipHash that seeds it, give the same numbers on every machine.
     let mut rng: ChaCha8Rng = Seeder::from((options.seed, track)).into_rng();
@@ -91,8 +91,8 @@ type Kept = (Vec<usize>, Augmentation);
 /// Number of bisection steps of the voxel size.
 const HALVINGS: u32 = 30;
 
-/// Retains one point per voxel. The voxel size approximates a target share of the points, which is log-uniform in
-/// `at` (0 to 1).
+/// Retains one point per voxel. The voxel size approximates a target share of the points, which is
+/// log-uniform in `at` (0 to 1).
 fn thin(points: &[Point], at: f64, options: &AugmentOptions) -> Kept {
     let [low, high] = options.ratio.map(f64::ln);
     let ratio = (low + (high - low) * at).exp();
@@ -129,8 +129,8 @@ fn one_a_voxel(points: &[Point], voxel_m: f64) -> Vec<usize> {
     first.into_values().collect::<BTreeSet<_>>().into_iter().collect()
 }
 
-/// Camera of 1024x768 pixels with a horizontal field of view of 90 degrees, at a distance of `RADII_AWAY` asset radii
-/// from the asset's center and level with it.
+/// Camera of 1024x768 pixels with a horizontal field of view of 90 degrees, at a distance of `RADII_AWAY`
+/// asset radii from the asset's center and level with it.
 const WIDTH: u32 = 1024;
 const HEIGHT: u32 = 768;
 const FOCAL_PX: f64 = 512.0;
@@ -140,8 +140,8 @@ const SURFACE_RADII: f64 = 0.04;
 /// ... plus a number of point distances, since splats protrude from surfaces at a slant.
 const SURFACE_APART: f64 = 2.0;
 
-/// Returns the points visible from a camera on the side with more points, halfway to the front (or back), rotated by
-/// up to 30 degrees more. `end` and `turn` are in 0 to 1. `None` if the points have no extent.
+/// Returns the points visible from a camera on the side with more points, halfway to the front (or back),
+/// rotated by up to 30 degrees more. `end` and `turn` are in 0 to 1. `None` if the points have no extent.
 fn one_view(points: &[Point], end: f64, turn: f64) -> Option<Kept> {
     let bounds = Bounds::of(points)?;
     let [min, max] = [bounds.min, bounds.max].map(|v| DVec3::from(v.map(f64::from)));
@@ -171,7 +171,8 @@ fn camera_at(azimuth_rad: f64, centre: DVec3, radius_m: f64) -> Option<View> {
 
 /// Returns the indices of the unoccluded points in a view.
 fn seen(points: &[Point], view: &View, bounds: &Bounds, radius_m: f64) -> Option<Vec<usize>> {
-    // Estimates the distance between points as if they covered their bounds; splats of that size close the gaps.
+    // Estimates the distance between points as if they covered their bounds; splats of that size close the
+    // gaps.
     let [x, y, z]: [f64; 3] = std::array::from_fn(|a| f64::from(bounds.max[a]) - f64::from(bounds.min[a]));
     let apart_m = (2.0 * (x * y + y * z + z * x) / points.len() as f64).sqrt();
     let radius_px = (apart_m * FOCAL_PX / (RADII_AWAY * radius_m)).ceil();

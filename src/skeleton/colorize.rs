@@ -1,12 +1,12 @@
 //! Coloring: one color per point, on which the images that see it agree.
 //!
 //! # How it works
-//! Every image whose frame lies within a window around a point's own frame is a candidate. The point is projected
-//! into it at the image's own time (a point of an actor moves with its box) and tested against the image's
-//! [`OcclusionMap`]. Each view that passes yields a [`ColorSample`]: the mean color over the pixels that the point covers
-//! when splatted, and a weight that decreases with distance. The color is a robust mean: a mean in which views count
-//! the less, the more they differ from it. The other views thus outvote an error in one image: a wrong occlusion,
-//! a passing car, or the sky behind a twig.
+//! Every image whose frame lies within a window around a point's own frame is a candidate. The point is
+//! projected into it at the image's own time (a point of an actor moves with its box) and tested against the
+//! image's [`OcclusionMap`]. Each view that passes yields a [`ColorSample`]: the mean color over the pixels
+//! that the point covers when splatted, and a weight that decreases with distance. The color is a robust
+//! mean: a mean in which views count the less, the more they differ from it. The other views thus outvote an
+//! error in one image: a wrong occlusion, a passing car, or the sky behind a twig.
 
 use glam::{DVec2, DVec3};
 use image::RgbImage;
@@ -59,7 +59,8 @@ const TOLERANCE: f32 = 100.0;
 const ROUNDS: usize = 6;
 
 impl ColorView {
-    /// Returns the radii, in pixels of the image, of points in the depth ranges of [`SPLATS`] and beyond them.
+    /// Returns the radii, in pixels of the image, of points in the depth ranges of [`SPLATS`] and beyond
+    /// them.
     pub(crate) fn radii(&self) -> [usize; 3] {
         let scale = f64::from(self.image.width()) / SPLAT_WIDTH;
         [SPLATS[0].1, SPLATS[1].1, 0.0].map(|radius| ((radius + 0.5) * scale).round() as usize)
@@ -96,8 +97,9 @@ impl ColorView {
     }
 }
 
-/// Returns the mean color over a square of `SIDE` pixels, from the index of its first level and the number of levels per row.
-/// Reads `LANES` levels of each row, of which it uses the first `3 SIDE`; `None` where there are fewer.
+/// Returns the mean color over a square of `SIDE` pixels, from the index of its first level and the number of
+/// levels per row. Reads `LANES` levels of each row, of which it uses the first `3 SIDE`; `None` where there
+/// are fewer.
 #[inline(always)]
 fn square_mean<const SIDE: usize, const LANES: usize>(
     levels: &[u8],
@@ -130,8 +132,8 @@ fn clipped_mean(levels: &[u8], [width, height]: [usize; 2], [x, y]: [usize; 2], 
     sum.map(|sum| ((sum + count / 2) / count.max(1)) as u8)
 }
 
-/// Returns the color that the looks agree on: their mean, weighted by `1 / (1 + (d / TOLERANCE)²)`, where `d` is the
-/// difference of a look from the mean. `None` without looks.
+/// Returns the color that the looks agree on: their mean, weighted by `1 / (1 + (d / TOLERANCE)²)`, where `d`
+/// is the difference of a look from the mean. `None` without looks.
 #[inline(always)] // into loops that are compiled for wide vectors
 pub(crate) fn agreed_color(looks: &[ColorSample]) -> Option<[u8; 3]> {
     if looks.is_empty() {
@@ -201,7 +203,8 @@ mod tests {
         }
     }
 
-    /// Sums in double precision, with the weights of the definition, differ by rounding alone, whatever the order of looks.
+    /// Sums in double precision, with the weights of the definition, differ by rounding alone, whatever the
+    /// order of looks.
     #[test]
     fn agreed_colors_are_those_of_the_definition() {
         let number = |i: i64, axis: i64| crate::hash::between(11, &[i, axis], 0.0, 1.0);

@@ -53,12 +53,13 @@ struct TemplateFile {
 
 impl Skeleton {
     /// Writes all points to a folder: `background`, `actors/TRACK` and `templates/KIND`, without classes, and
-    /// `origins.json`, which has the origin of the background's coordinates and the file of each track. An older
-    /// export in the folder is replaced once the new one is complete. Returns notes on background points that are so far from
-    /// the origin that they lose precision.
+    /// `origins.json`, which has the origin of the background's coordinates and the file of each track. An
+    /// older export in the folder is replaced once the new one is complete. Returns notes on background
+    /// points that are so far from the origin that they lose precision.
     ///
     /// # Errors
-    /// Fails if points do not match their checksum, if the folder has other content, or if a file cannot be written.
+    /// Fails if points do not match their checksum, if the folder has other content, or if a file cannot be
+    /// written.
     pub fn export(&self, folder: &Path, format: PointFormat) -> Result<Vec<String>, FileError> {
         let mut notes = Vec::new();
         WholeFolder::open(folder, KIND, &Inputs::new([self.path()]))?.write(|folder| {
@@ -98,7 +99,8 @@ fn write_background(
     Ok((BackgroundFile { file, origin: origin.to_array(), points: points.len() }, note))
 }
 
-/// Returns the middle of the chunks near most points, in whole meters. Chunks are given by their origin and points.
+/// Returns the middle of the chunks near most points, in whole meters. Chunks are given by their origin and
+/// points.
 fn origin_of_background<'a>(chunks: &[(DVec3, &'a [Point])]) -> DVec3 {
     let positions = |(origin, cloud): &(DVec3, &'a [Point])| {
         let origin = *origin;
@@ -150,8 +152,8 @@ fn create(folder: &Path) -> Result<(), FileError> {
     std::fs::create_dir(folder).map_err(FileError::io("create", folder))
 }
 
-/// Returns a unique file name for a track: the beginning of its id with special characters replaced, and a number
-/// appended if the name is taken.
+/// Returns a unique file name for a track: the beginning of its id with special characters replaced, and a
+/// number appended if the name is taken.
 fn file_name(track: &str, taken: &mut BTreeSet<String>) -> String {
     let plain = |c: char| if c.is_ascii_alphanumeric() || c == '-' || c == '_' { c } else { '_' };
     let name: String = track.chars().take(FileName::MAX_BYTES).map(plain).collect();

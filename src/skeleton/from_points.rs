@@ -36,12 +36,13 @@ pub struct AssetPoints {
 }
 
 impl Skeleton {
-    /// Writes a skeleton of colored points from another source to a folder, under the name of a log. An existing skeleton
-    /// is replaced. Points retain their order within a chunk of the background and within an asset.
+    /// Writes a skeleton of colored points from another source to a folder, under the name of a log. An
+    /// existing skeleton is replaced. Points retain their order within a chunk of the background and within
+    /// an asset.
     ///
     /// # Errors
-    /// Fails if there is no background point, if a track occurs twice, if a position or size is beyond the limits of all
-    /// files ([`geometry`](crate::geometry)), or if the folder cannot be written.
+    /// Fails if there is no background point, if a track occurs twice, if a position or size is beyond the
+    /// limits of all files ([`geometry`](crate::geometry)), or if the folder cannot be written.
     pub fn from_points(
         folder: &Path,
         log: &str,

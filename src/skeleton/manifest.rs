@@ -92,8 +92,8 @@ impl Manifest {
     /// Format version; incremented when older readers would misread a skeleton.
     pub const VERSION: u32 = 3;
 
-    /// Returns the first and last time used of a log, absolute microseconds; `None` if the skeleton was not built
-    /// from it.
+    /// Returns the first and last time used of a log, absolute microseconds; `None` if the skeleton was not
+    /// built from it.
     pub fn times_us(&self, log: &str) -> Option<[i64; 2]> {
         self.sources.iter().find(|source| source.log == log).map(|source| source.t_us)
     }
@@ -251,9 +251,9 @@ fn check_bounds(bounds: &Bounds, of: impl Fn() -> String, path: &Path) -> Result
         .try_for_each(|corner| check_position("bounds", corner.map(f64::from), &of, path))
 }
 
-/// Point counts of a build. Every point read is either dropped for one of the reasons below or retained in background
-/// or actors. With [`Coloring::EveryCamera`](super::Coloring::EveryCamera) it is retained once per camera that sees
-/// it.
+/// Point counts of a build. Every point read is either dropped for one of the reasons below or retained in
+/// background or actors. With [`Coloring::EveryCamera`](super::Coloring::EveryCamera) it is retained once per
+/// camera that sees it.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct BuildReport {
     /// Points read from sweeps, including those that are not finite.

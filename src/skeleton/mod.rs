@@ -1,10 +1,11 @@
 //! Point skeleton of a recording: static background, one asset per tracked actor, category templates.
 //!
 //! # How it works
-//! [`build()`] reads the sweeps and separates actors from background with the boxes ([`Splitter`]). It computes
-//! occlusion in every image (`occlusion`), assigns each point one color on which the images agree
-//! (`colorize`) and merges the points of each voxel. The background is stored in chunks with an origin each, so
-//! that global coordinates stay `f64` and points are `f32`. [`Skeleton`] is the result on disk, memory-mapped.
+//! [`build()`] reads the sweeps and separates actors from background with the boxes ([`Splitter`]). It
+//! computes occlusion in every image (`occlusion`), assigns each point one color on which the images agree
+//! (`colorize`) and merges the points of each voxel. The background is stored in chunks with an origin each,
+//! so that global coordinates stay `f64` and points are `f32`. [`Skeleton`] is the result on disk,
+//! memory-mapped.
 
 mod augment;
 mod checksum;

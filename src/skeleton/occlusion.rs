@@ -1,10 +1,11 @@
 //! Occlusion in camera images, estimated from sparse points.
 //!
 //! # How it works
-//! Points are splatted as inverse depth (nearest wins) into a grid of [`CELL_PX`] pixels. LiDAR points are sparse, so
-//! a grayscale closing fills the gaps between them: dilation, then erosion, both over `(2·CLOSE_CELLS + 1)²` cells.
-//! The closing fills areas *between* nearer points without growing them beyond their outline. It preserves planes,
-//! since inverse depth is linear on planes. A point is occluded if it is clearly farther than the closed surface.
+//! Points are splatted as inverse depth (nearest wins) into a grid of [`CELL_PX`] pixels. LiDAR points are
+//! sparse, so a grayscale closing fills the gaps between them: dilation, then erosion, both over
+//! `(2·CLOSE_CELLS + 1)²` cells. The closing fills areas *between* nearer points without growing them beyond
+//! their outline. It preserves planes, since inverse depth is linear on planes. A point is occluded if it is
+//! clearly farther than the closed surface.
 
 use glam::DVec2;
 
@@ -16,7 +17,8 @@ pub(crate) const CELL_PX: u32 = 4;
 const CLOSE_CELLS: usize = 2;
 /// Relative depth tolerance within which a point lies on the surface.
 const RELATIVE_SLACK: f32 = 0.03;
-/// Minimum camera height above the road, meters: from there, the road's slope across a cell is not a depth step.
+/// Minimum camera height above the road, meters: from there, the road's slope across a cell is not a depth
+/// step.
 const EYE_HEIGHT_M: f64 = 1.5;
 
 /// Maximum inverse depth per cell, 0 in empty cells.
@@ -67,8 +69,8 @@ impl OcclusionGrid {
 pub(crate) struct OcclusionMap(OcclusionGrid);
 
 impl OcclusionMap {
-    /// Returns whether a clearly nearer surface occludes a point at `pixel` and a camera depth in meters. Always
-    /// `false` outside the image.
+    /// Returns whether a clearly nearer surface occludes a point at `pixel` and a camera depth in meters.
+    /// Always `false` outside the image.
     #[inline(always)] // into loops that are compiled for wide vectors
     pub(crate) fn hides(&self, pixel: DVec2, depth_m: f64) -> bool {
         let Some(cell) = self.0.cell(pixel) else { return false };
@@ -77,7 +79,8 @@ impl OcclusionMap {
     }
 }
 
-/// Returns the extreme over a square of `(2·radius + 1)²` cells around each cell, filtering rows, then columns.
+/// Returns the extreme over a square of `(2·radius + 1)²` cells around each cell, filtering rows, then
+/// columns.
 fn filter(cells: &[f32], columns: usize, radius: usize, pick: fn(f32, f32) -> f32) -> Vec<f32> {
     let rows = cells.len() / columns.max(1);
     let mut along_rows = cells.to_vec();

@@ -31,8 +31,8 @@ pub enum Coloring {
     /// One color, on which the views that pass an occlusion test agree: their robust mean.
     #[serde(alias = "best-view")]
     Agreed,
-    /// One copy of the point for every camera of its frame that it projects into, occluded or not. For comparison:
-    /// the behavior of existing scripts.
+    /// One copy of the point for every camera of its frame that it projects into, occluded or not. For
+    /// comparison: the behavior of existing scripts.
     EveryCamera,
 }
 
@@ -52,8 +52,8 @@ impl Default for BuildOptions {
 }
 
 impl BuildOptions {
-    /// Returns the behavior of existing scripts, for comparison: colors from every camera that sees a point, no
-    /// occlusion test, all copies retained, boxes grown by 0.5 m.
+    /// Returns the behavior of existing scripts, for comparison: colors from every camera that sees a point,
+    /// no occlusion test, all copies retained, boxes grown by 0.5 m.
     pub fn every_camera() -> Self {
         let split = SplitOptions {
             margin_m: 0.5,

@@ -40,17 +40,20 @@ impl Projector {
         Self { from_local: camera * view.camera_from_world * *global_from_local, lens, size }
     }
 
-    /// Returns whether [`Projector::pixel`] is `None` for all points within bounds; `false` if that is not certain.
+    /// Returns whether [`Projector::pixel`] is `None` for all points within bounds; `false` if that is not
+    /// certain.
     pub(crate) fn misses(&self, bounds: &Corners) -> bool {
         // Above rounding errors: 1e-5 at coordinates of 1e7 m and focal lengths of 1e4 pixels.
         const MARGIN: f64 = 1e-3;
         let corners = bounds.0.map(|corner| self.from_local.transform_point3(corner));
-        // Each distance is linear in the point, so it is negative within the bounds if it is so at all corners.
+        // Each distance is linear in the point, so it is negative within the bounds if it is so at all
+        // corners.
         let beyond = |distance: &dyn Fn(DVec3) -> f64| corners.iter().all(|q| distance(*q) < -MARGIN);
         if beyond(&|q| q.z - NEAREST_M) {
             return true;
         }
-        // With a lens, these are not pixels. Of points in front of the camera, a distance has the sign of the pixel's.
+        // With a lens, these are not pixels. Of points in front of the camera, a distance has the sign of the
+        // pixel's.
         let DVec2 { x: width, y: height } = self.size;
         self.lens.is_none()
             && (beyond(&|q| q.x)
@@ -59,8 +62,8 @@ impl Projector {
                 || beyond(&|q| height * q.z - q.y))
     }
 
-    /// Returns pixel coordinates and camera depth in meters; `None` behind the camera and outside the image. Lens
-    /// distortion is applied, so the pixel is that of the recorded image.
+    /// Returns pixel coordinates and camera depth in meters; `None` behind the camera and outside the image.
+    /// Lens distortion is applied, so the pixel is that of the recorded image.
     pub fn pixel(&self, local: DVec3) -> Option<(DVec2, f64)> {
         let q = self.from_local.transform_point3(local);
         if q.z < NEAREST_M {
@@ -163,7 +166,8 @@ mod tests {
         Camera::new("c", 1600, 900, rows).unwrap()
     }
 
-    /// Pixels of many points are those of each, bit for bit, with and without a lens, also of points that are not finite.
+    /// Pixels of many points are those of each, bit for bit, with and without a lens, also of points that are
+    /// not finite.
     #[test]
     fn pixels_of_many_points_are_those_of_each() {
         let distortion = Distortion::from_opencv([-0.28, 0.071, 0.0011, -0.0007, -0.0079]);

@@ -32,8 +32,9 @@ pub struct SplitOptions {
     pub ground_m: f64,
     /// Minimum speed of a moving actor, m/s.
     pub moving_m_s: f64,
-    /// LiDAR whose timing the boxes of moving actors match, if several LiDARs are merged into one sweep. Points of the
-    /// others on a moving actor are dropped, since they measured it elsewhere. `None` retains them.
+    /// LiDAR whose timing the boxes of moving actors match, if several LiDARs are merged into one sweep.
+    /// Points of the others on a moving actor are dropped, since they measured it elsewhere. `None` retains
+    /// them.
     pub primary_lidar: Option<u16>,
     /// Maximum distance from the LiDAR along its x and its y of returns from the ego vehicle itself, meters.
     pub ego_clearance_m: f64,
@@ -57,8 +58,8 @@ impl Default for SplitOptions {
 /// Separates the points of one sweep using the boxes at its time.
 pub struct Splitter {
     boxes: Vec<SplitBox>,
-    /// Indices of boxes, keyed by a cube around all points they can claim. An R-tree, as the number of boxes is
-    /// unbounded.
+    /// Indices of boxes, keyed by a cube around all points they can claim. An R-tree, as the number of boxes
+    /// is unbounded.
     places: RTree<Place>,
     /// Boxes excluded from the tree because their coordinates are not finite or too large.
     unplaced: Vec<usize>,
@@ -113,8 +114,8 @@ impl Splitter {
         Self { boxes, places: RTree::bulk_load(places), unplaced, ground_m: options.ground_m }
     }
 
-    /// Classifies a global point. Of several boxes, the one in which it lies deepest wins. `timely` is `true` if the
-    /// point comes from the LiDAR whose timing matches the boxes of moving actors.
+    /// Classifies a global point. Of several boxes, the one in which it lies deepest wins. `timely` is `true`
+    /// if the point comes from the LiDAR whose timing matches the boxes of moving actors.
     pub fn part(&self, global: DVec3, timely: bool) -> Part {
         if !global.is_finite() {
             return self.part_among(0..self.boxes.len(), global, timely);
@@ -123,8 +124,8 @@ impl Splitter {
         self.part_among(placed.chain(self.unplaced.iter().copied()), global, timely)
     }
 
-    /// Classifies a point using the boxes with some indices, in any order. Of equally deep boxes the one with the
-    /// lowest index wins.
+    /// Classifies a point using the boxes with some indices, in any order. Of equally deep boxes the one with
+    /// the lowest index wins.
     fn part_among(&self, numbers: impl Iterator<Item = usize>, global: DVec3, timely: bool) -> Part {
         let mut best: Option<((f64, usize), DVec3)> = None;
         let mut ghost = false;
@@ -180,7 +181,8 @@ impl SplitBox {
     /// Returns whether the box, moved along its path within the ghost window, covers the point.
     fn sweeps_over(&self, local: DVec3) -> bool {
         let Some([before, after]) = self.sweep_m else { return false };
-        // Slab test of a segment against the grown box: in the box frame the point moves in the opposite direction.
+        // Slab test of a segment against the grown box: in the box frame the point moves in the opposite
+        // direction.
         let (from, to) = (local - before, local - after);
         let (mut enter, mut leave) = (0.0_f64, 1.0_f64);
         for axis in 0..3 {
@@ -229,8 +231,8 @@ mod tests {
         Splitter::new(&frames[0].boxes, &trajectories, 0, &SplitOptions::default())
     }
 
-    /// Generates boxes that often touch, enclose or equal each other, far from the origin; some are huge or excluded
-    /// from the tree.
+    /// Generates boxes that often touch, enclose or equal each other, far from the origin; some are huge or
+    /// excluded from the tree.
     fn any_box() -> impl Strategy<Value = (Cuboid, DVec3)> {
         let place = (0..8_i32, 0..8_i32, 0..3_i32).prop_map(|(x, y, z)| {
             DVec3::new(664_000.0 + f64::from(x) * 1.5, 3_997_000.0 + f64::from(y), f64::from(z) * 0.5)

@@ -39,12 +39,12 @@ pub struct SkeletonWriter {
 }
 
 impl SkeletonWriter {
-    /// Writes the folder under a temporary name beside `path`, then renames it. `fill` adds the clouds and ends with
-    /// [`SkeletonWriter::finish`]. An existing skeleton at `path` is replaced.
+    /// Writes the folder under a temporary name beside `path`, then renames it. `fill` adds the clouds and
+    /// ends with [`SkeletonWriter::finish`]. An existing skeleton at `path` is replaced.
     ///
     /// # Errors
-    /// Returns any error of `fill`. Fails if a file cannot be written or if `path` holds anything but a skeleton.
-    /// Partial output is removed.
+    /// Returns any error of `fill`. Fails if a file cannot be written or if `path` holds anything but a
+    /// skeleton. Partial output is removed.
     pub fn write<E: From<FileError>>(
         path: &Path,
         fill: impl FnOnce(&mut Self) -> Result<(), E>,
@@ -52,8 +52,8 @@ impl SkeletonWriter {
         WholeFolder::open(path, KIND, &Inputs::default())?.write(|folder| fill(&mut Self::new(folder)?))
     }
 
-    /// Checks that a skeleton may be written at a path: it does not exist, is empty, or is a skeleton without foreign
-    /// files, and it is no input.
+    /// Checks that a skeleton may be written at a path: it does not exist, is empty, or is a skeleton without
+    /// foreign files, and it is no input.
     ///
     /// # Errors
     /// Fails if the path holds anything else.
@@ -61,8 +61,8 @@ impl SkeletonWriter {
         check_whole(path, KIND, inputs)
     }
 
-    /// Writes a skeleton of logs with some fingerprints as [`SkeletonWriter::write`] does, in a work folder that the
-    /// caller owns.
+    /// Writes a skeleton of logs with some fingerprints as [`SkeletonWriter::write`] does, in a work folder
+    /// that the caller owns.
     pub(super) fn write_by<E: From<FileError>>(
         path: &Path,
         work: &WorkFolder,
@@ -184,8 +184,8 @@ impl Skeleton {
         is_taken(&path.join(MANIFEST))
     }
 
-    /// Maps a skeleton's files and validates their sizes against the manifest. Checksums are validated on first
-    /// access.
+    /// Maps a skeleton's files and validates their sizes against the manifest. Checksums are validated on
+    /// first access.
     ///
     /// # Errors
     /// Fails if a file is missing or damaged, or has another format or version.
@@ -228,8 +228,8 @@ impl Skeleton {
         Ok(skeleton)
     }
 
-    /// Returns the checksum of a skeleton's manifest, which has those of all points, as 16 hexadecimal digits. `None` if
-    /// there is no skeleton.
+    /// Returns the checksum of a skeleton's manifest, which has those of all points, as 16 hexadecimal
+    /// digits. `None` if there is no skeleton.
     ///
     /// # Errors
     /// Fails if the manifest cannot be read.
@@ -238,8 +238,9 @@ impl Skeleton {
         Ok(if is_taken(&path) { Some(Checksum::of(&read_table(&path)?).to_string()) } else { None })
     }
 
-    /// Returns whether the skeleton was built from this recording, rather than from another one or another state of the same
-    /// name. `None` if it has no fingerprints that can be compared, as those of earlier versions.
+    /// Returns whether the skeleton was built from this recording, rather than from another one or another
+    /// state of the same name. `None` if it has no fingerprints that can be compared, as those of earlier
+    /// versions.
     ///
     /// # Errors
     /// Fails if the list of the skeleton's files cannot be read.
@@ -249,8 +250,8 @@ impl Skeleton {
         Ok((!known.is_empty()).then(|| known.contains(&log.fingerprint())))
     }
 
-    /// Checks that the skeleton was built from this recording, see [`Skeleton::is_of`]. Without fingerprints, the place, the
-    /// times and the tracks are compared.
+    /// Checks that the skeleton was built from this recording, see [`Skeleton::is_of`]. Without fingerprints,
+    /// the place, the times and the tracks are compared.
     ///
     /// # Errors
     /// Fails if it was built from another recording.

@@ -6,8 +6,8 @@ use crate::geometry::Cuboid;
 /// Boxes of every track over time.
 pub struct Trajectories(Vec<Vec<(i64, Cuboid)>>);
 
-/// Maximum extrapolation of a track beyond its first and last box at constant velocity, microseconds: cameras fire up
-/// to 100 ms before the LiDAR timestamp of the boxes.
+/// Maximum extrapolation of a track beyond its first and last box at constant velocity, microseconds: cameras
+/// fire up to 100 ms before the LiDAR timestamp of the boxes.
 const CARRY_ON_US: i64 = 150_000;
 
 impl Trajectories {
@@ -22,8 +22,8 @@ impl Trajectories {
         Self(tracks)
     }
 
-    /// Returns a track's box at a time, interpolated between its boxes or extrapolated by at most 0.15 s; a single
-    /// box does not move. `None` outside this range.
+    /// Returns a track's box at a time, interpolated between its boxes or extrapolated by at most 0.15 s; a
+    /// single box does not move. `None` outside this range.
     pub fn at(&self, track: usize, t_us: i64) -> Option<Cuboid> {
         let boxes = &self.0[track];
         let next = boxes.partition_point(|(t, _)| *t < t_us);

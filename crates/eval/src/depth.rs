@@ -21,8 +21,8 @@ pub struct DepthSummary {
 }
 
 impl DepthErrors {
-    /// Adds the errors of a depth map against the ground truth, both of one size, in meters. Values that are not
-    /// finite are empty, and so is a true depth of 0.
+    /// Adds the errors of a depth map against the ground truth, both of one size, in meters. Values that are
+    /// not finite are empty, and so is a true depth of 0.
     pub fn add(&mut self, map_m: &[f32], truth_m: &[f32]) {
         for (map, truth) in map_m.iter().zip(truth_m).filter(|(a, b)| a.is_finite() && b.is_finite()) {
             if *truth > 0.0 {

@@ -8,8 +8,9 @@ pub struct Drift {
 }
 
 impl Drift {
-    /// Computes the drift of a series at times in seconds. Missing and non-finite values are skipped. A third is
-    /// rounded down to whole values. `None` if there are less than three values, or if all are of the same time.
+    /// Computes the drift of a series at times in seconds. Missing and non-finite values are skipped. A third
+    /// is rounded down to whole values. `None` if there are less than three values, or if all are of the same
+    /// time.
     pub fn of(t_s: &[f64], values: &[Option<f64>]) -> Option<Self> {
         let known = |(t, value): (&f64, &Option<f64>)| value.filter(|v| v.is_finite()).map(|v| (*t, v));
         let known: Vec<(f64, f64)> = t_s.iter().zip(values).filter_map(known).collect();

@@ -40,7 +40,8 @@ impl FeatureSet {
         &self.values
     }
 
-    /// Appends a row; the first row sets the row length. Returns `false` and appends nothing if the length differs.
+    /// Appends a row; the first row sets the row length. Returns `false` and appends nothing if the length
+    /// differs.
     pub fn push(&mut self, row: &[f64]) -> bool {
         if self.values.is_empty() {
             self.columns = row.len();
@@ -68,10 +69,10 @@ impl FeatureSet {
     }
 }
 
-/// Computes features of a video from features `[D]` of one camera's frames in order, `[N, 2·D]`. Each window of
-/// [`WINDOW_FRAMES`] frames (stride 1) gives a row: the mean over time of the frames' features, then the mean of
-/// the absolute differences between consecutive frames. Windows with a `None` frame are skipped. The result is
-/// empty for shorter videos.
+/// Computes features of a video from features `[D]` of one camera's frames in order, `[N, 2·D]`. Each window
+/// of [`WINDOW_FRAMES`] frames (stride 1) gives a row: the mean over time of the frames' features, then the
+/// mean of the absolute differences between consecutive frames. Windows with a `None` frame are skipped. The
+/// result is empty for shorter videos.
 pub fn window_features(frames: &[Option<Vec<f64>>]) -> FeatureSet {
     let mut set = FeatureSet::default();
     for window in frames.windows(WINDOW_FRAMES) {

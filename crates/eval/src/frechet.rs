@@ -22,17 +22,17 @@ pub enum FrechetError {
     NoEigenvalues,
 }
 
-/// Computes the Fréchet distance between two normal distributions with the means and unbiased covariances of two
-/// sets of features (M. Heusel et al., *GANs trained by a two time-scale update rule*, 2017, equation 6):
+/// Computes the Fréchet distance between two normal distributions with the means and unbiased covariances of
+/// two sets of features (M. Heusel et al., *GANs trained by a two time-scale update rule*, 2017, equation 6):
 /// `|m_a - m_b|² + tr(A) + tr(B) - 2·tr(sqrt(sqrt(A)·B·sqrt(A)))`. In squared units of the features.
 ///
-/// With fewer rows than features, the rank of a covariance is below D. The distance is still defined, but it is
-/// biased upwards, depending on the number of rows. Then only compare distances between sets with the same numbers
-/// of rows; the distance between two halves of the ground truth shows the level of no difference.
+/// With fewer rows than features, the rank of a covariance is below D. The distance is still defined, but it
+/// is biased upwards, depending on the number of rows. Then only compare distances between sets with the same
+/// numbers of rows; the distance between two halves of the ground truth shows the level of no difference.
 ///
 /// # Errors
-/// Returns an error if a set has less than two rows, if the sets differ in the number of features, if a feature is
-/// not finite, or if eigenvalues are not found.
+/// Returns an error if a set has less than two rows, if the sets differ in the number of features, if a
+/// feature is not finite, or if eigenvalues are not found.
 pub fn frechet_distance(a: &FeatureSet, b: &FeatureSet) -> Result<f64, FrechetError> {
     if a.len() < 2 || b.len() < 2 {
         return Err(FrechetError::Rows(a.len(), b.len()));
@@ -118,7 +118,8 @@ fn by_products(a: &Moments, b: &Moments) -> Option<f64> {
     trace_of_root(rows_product(&cross, &cross, many.rows), few.rows)
 }
 
-/// Returns the square root of a symmetric matrix `[n, n]` whose eigenvalues are nonnegative, except for rounding.
+/// Returns the square root of a symmetric matrix `[n, n]` whose eigenvalues are nonnegative, except for
+/// rounding.
 fn square_root(matrix: Vec<f64>, n: usize) -> Option<Vec<f64>> {
     let (values, vectors) = eigen(matrix, n)?;
     let scaled: Vec<f64> =
@@ -143,8 +144,8 @@ fn transposed(matrix: &[f64], columns: usize) -> Vec<f64> {
     (0..columns).flat_map(|c| matrix.iter().skip(c).step_by(columns).copied()).collect()
 }
 
-/// Computes `a·bᵀ`, `[N, M]`, of `[N, inner]` and `[M, inner]`. The order of the sums does not depend on the number
-/// of threads.
+/// Computes `a·bᵀ`, `[N, M]`, of `[N, inner]` and `[M, inner]`. The order of the sums does not depend on the
+/// number of threads.
 fn rows_product(a: &[f64], b: &[f64], inner: usize) -> Vec<f64> {
     let row = |a: &[f64]| b.chunks_exact(inner).map(|b| dot(a, b)).collect::<Vec<f64>>();
     a.par_chunks_exact(inner).flat_map_iter(row).collect()

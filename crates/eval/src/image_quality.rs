@@ -3,8 +3,8 @@ use image::RgbImage;
 /// Error of a color map against a ground-truth image, over the pixels that are filled (not black).
 #[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize)]
 pub struct FilledError {
-    /// Peak signal-to-noise ratio over all channels of filled pixels, dB: `10·log10(255² / mean squared error)`.
-    /// Infinite for equal images, NaN if no pixel is filled.
+    /// Peak signal-to-noise ratio over all channels of filled pixels, dB: `10·log10(255² / mean squared
+    /// error)`. Infinite for equal images, NaN if no pixel is filled.
     pub psnr_db: f64,
     /// Mean absolute error, levels.
     pub mean_abs: f64,
@@ -34,9 +34,8 @@ pub fn compare_filled(map: &[[u8; 3]], truth: &[[u8; 3]]) -> FilledError {
     }
 }
 
-/// Computes the peak signal-to-noise ratio of two RGB images over all pixels and channels, dB:
-/// `10·log10(255² / mean squared error)`. Infinite for equal images. `None` if the sizes differ, or if there are no
-/// pixels.
+/// Computes the peak signal-to-noise ratio of two RGB images over all pixels and channels, dB: `10·log10(255²
+/// / mean squared error)`. Infinite for equal images. `None` if the sizes differ, or if there are no pixels.
 pub fn psnr_db(image: &RgbImage, truth: &RgbImage) -> Option<f64> {
     let (a, b) = (image.as_raw(), truth.as_raw());
     if image.dimensions() != truth.dimensions() || a.is_empty() {

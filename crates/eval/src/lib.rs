@@ -1,14 +1,14 @@
 //! Metrics of an image, a set of images, or a rollout of generated images.
 //!
 //! # How it works
-//! Leaf functions compare two images ([`psnr_db`], [`ssim`], [`sharpness`]), two masks ([`Overlap`]) or two sets of
-//! features ([`frechet_distance`]). [`RolloutScores`] takes the steps of a rollout, in memory, and computes a
-//! series per metric with its [`Drift`], the [`Motion`] of actors, and the features of [`RandomConvNet`].
-//! [`CollectedFeatures`] computes distances between the features of many rollouts, and [`MeanInterval`] averages
-//! over rollouts. These read no files. [`evaluate`] scores the rollouts in folders, `fidelity` (feature `town`) compares
-//! the maps of the synthetic town with its ground truth, and `ablate` (feature `network`) generates images with variants
-//! of the generator and compares their scores. [`protocol`] defines evaluation protocols, and [`bench`](mod@bench) measures
-//! the speed of rendering.
+//! Leaf functions compare two images ([`psnr_db`], [`ssim`], [`sharpness`]), two masks ([`Overlap`]) or two
+//! sets of features ([`frechet_distance`]). [`RolloutScores`] takes the steps of a rollout, in memory, and
+//! computes a series per metric with its [`Drift`], the [`Motion`] of actors, and the features of
+//! [`RandomConvNet`]. [`CollectedFeatures`] computes distances between the features of many rollouts, and
+//! [`MeanInterval`] averages over rollouts. These read no files. [`evaluate`] scores the rollouts in folders,
+//! `fidelity` (feature `town`) compares the maps of the synthetic town with its ground truth, and `ablate`
+//! (feature `network`) generates images with variants of the generator and compares their scores.
+//! [`protocol`] defines evaluation protocols, and [`bench`](mod@bench) measures the speed of rendering.
 
 #[cfg(feature = "network")]
 pub mod ablate;

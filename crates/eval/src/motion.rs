@@ -4,21 +4,21 @@ use rayon::prelude::*;
 /// Minimum speed of a moving actor, meters per second (exclusive).
 pub const MOVING_MPS: f64 = 0.5;
 
-/// Motion of generated images relative to the ground truth: how well moving actors move, and how much the rest
-/// flickers.
+/// Motion of generated images relative to the ground truth: how well moving actors move, and how much the
+/// rest flickers.
 ///
 /// The change dG of a generated image is regressed on the change dT of the ground truth, over all channels of
-/// pixels that show a moving actor in a frame or in the previous one. Flicker that is independent of the ground
-/// truth averages out.
+/// pixels that show a moving actor in a frame or in the previous one. Flicker that is independent of the
+/// ground truth averages out.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
 pub struct Motion {
-    /// `sum(dG·dT) / sum(dT·dT)` on moving actors: 1 moves like the ground truth, 0 does not move. `None` if the
-    /// ground truth does not change.
+    /// `sum(dG·dT) / sum(dT·dT)` on moving actors: 1 moves like the ground truth, 0 does not move. `None` if
+    /// the ground truth does not change.
     pub slope: Option<f64>,
     /// Number of pixels of moving actors that were compared.
     pub moving_pixels: u64,
-    /// Root mean square of dG over that of dT on all other pixels: 1 changes like the ground truth. `None` if the
-    /// ground truth does not change, as with a stationary ego.
+    /// Root mean square of dG over that of dT on all other pixels: 1 changes like the ground truth. `None` if
+    /// the ground truth does not change, as with a stationary ego.
     pub flicker: Option<f64>,
     /// Root mean square of dG on all other pixels, levels; `None` if there are none.
     pub static_generated_rms: Option<f64>,

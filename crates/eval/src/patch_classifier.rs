@@ -49,14 +49,14 @@ pub enum PatchClassifierError {
 
 type Forest = RandomForestRegressor<f32, f64, DenseMatrix<f32>, Vec<f64>>;
 
-/// Classifies pixels as vehicle or not, from the colors around them and from their position; a fallback if there is
-/// no segmentation network.
+/// Classifies pixels as vehicle or not, from the colors around them and from their position; a fallback if
+/// there is no segmentation network.
 ///
-/// A random forest on the RGB values of a small patch, and on row and column as fractions of the image's sides. It
-/// recognizes vehicles of the scenes that it was trained on, at their size; it is not a general segmentation model.
-/// Its IoU is only meaningful beside its IoU on ground-truth images. The forest returns a share of votes. The
-/// threshold on that share is the one with the best IoU on the training pixels, each classified by trees that were
-/// not trained on it.
+/// A random forest on the RGB values of a small patch, and on row and column as fractions of the image's
+/// sides. It recognizes vehicles of the scenes that it was trained on, at their size; it is not a general
+/// segmentation model. Its IoU is only meaningful beside its IoU on ground-truth images. The forest returns a
+/// share of votes. The threshold on that share is the one with the best IoU on the training pixels, each
+/// classified by trees that were not trained on it.
 #[derive(Debug)]
 pub struct PatchClassifier {
     forest: Forest,
@@ -86,8 +86,8 @@ impl PatchTrainer {
         Self { options, images: 0, samples: Vec::new() }
     }
 
-    /// Samples pixels of a ground-truth image. `vehicles` is the mask of its vehicles, row by row, of the same
-    /// size. The choice depends on the seed and the number of the image.
+    /// Samples pixels of a ground-truth image. `vehicles` is the mask of its vehicles, row by row, of the
+    /// same size. The choice depends on the seed and the number of the image.
     pub fn add(&mut self, image: &RgbImage, vehicles: &[bool]) {
         let mut random: ChaCha8Rng = Seeder::from((self.options.seed, "patches", self.images)).into_rng();
         self.images += 1;
@@ -117,7 +117,8 @@ impl PatchTrainer {
     /// [`PatchOptions::pixels`].
     ///
     /// # Errors
-    /// Returns an error if there are no pixels of vehicles or no other pixels, or if the forest cannot be trained.
+    /// Returns an error if there are no pixels of vehicles or no other pixels, or if the forest cannot be
+    /// trained.
     pub fn train(&self) -> Result<PatchClassifier, PatchClassifierError> {
         let (options, all) = (&self.options, self.samples.len());
         let kept = all.min(options.pixels);

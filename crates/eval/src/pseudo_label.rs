@@ -2,9 +2,9 @@
 pub const VEHICLE_CLASS: u8 = 1;
 
 /// Returns the mask of motor vehicles that segmentation is compared with (pseudo label): `class == 1` after a
-/// morphological closing by 3x3 pixels, with no vehicle beyond the image. Class maps are sparse where points are: the
-/// closing fills gaps of one or two pixels, retains every pixel of the class and moves no edge. `class` is row by row,
-/// with `width` pixels per row; the mask has the same size.
+/// morphological closing by 3x3 pixels, with no vehicle beyond the image. Class maps are sparse where points
+/// are: the closing fills gaps of one or two pixels, retains every pixel of the class and moves no edge.
+/// `class` is row by row, with `width` pixels per row; the mask has the same size.
 pub fn vehicle_mask(class: &[u8], width: usize) -> Vec<bool> {
     let height = class.len().checked_div(width).unwrap_or(0);
     let is_vehicle = |y: usize, x: usize| y < height && x < width && class[y * width + x] == VEHICLE_CLASS;

@@ -2,8 +2,9 @@ use image::RgbImage;
 
 use super::luma;
 
-/// Computes the mean gradient magnitude of luma, levels per pixel: `sqrt(dx² + dy²)` of the differences to the next
-/// column and the next row, over all pixels that have both. `None` for images of a single row or column.
+/// Computes the mean gradient magnitude of luma, levels per pixel: `sqrt(dx² + dy²)` of the differences to
+/// the next column and the next row, over all pixels that have both. `None` for images of a single row or
+/// column.
 pub fn sharpness(image: &RgbImage) -> Option<f64> {
     let (width, height) = (image.width() as usize, image.height() as usize);
     if width < 2 || height < 2 {

@@ -8,13 +8,13 @@ const SIGMA: f64 = 1.5;
 const C1: f64 = 2.55 * 2.55;
 const C2: f64 = 7.65 * 7.65;
 
-/// Computes the structural similarity of two RGB images of one size, at most 1 (equal). `None` if the sizes differ,
-/// or if the images are smaller than the window.
+/// Computes the structural similarity of two RGB images of one size, at most 1 (equal). `None` if the sizes
+/// differ, or if the images are smaller than the window.
 ///
-/// Z. Wang et al., *Image quality assessment: from error visibility to structural similarity*, 2004, equation 13,
-/// with a Gaussian window of 11x11 pixels and a standard deviation of 1.5, K1 = 0.01, K2 = 0.03, and a range of 255
-/// levels. The similarity is averaged over all positions where the window lies within the image (no padding), for
-/// each of R, G and B, and then over the three. The images are not downsampled first.
+/// Z. Wang et al., *Image quality assessment: from error visibility to structural similarity*, 2004, equation
+/// 13, with a Gaussian window of 11x11 pixels and a standard deviation of 1.5, K1 = 0.01, K2 = 0.03, and a
+/// range of 255 levels. The similarity is averaged over all positions where the window lies within the image
+/// (no padding), for each of R, G and B, and then over the three. The images are not downsampled first.
 pub fn ssim(image: &RgbImage, truth: &RgbImage) -> Option<f64> {
     let (width, height) = (image.width() as usize, image.height() as usize);
     if image.dimensions() != truth.dimensions() || width < SIDE || height < SIDE {

@@ -5,12 +5,13 @@ pub struct MeanInterval {
     pub count: usize,
     /// Mean of the values.
     pub mean: f64,
-    /// Half the length of the interval, which is `mean - half_width` to `mean + half_width`; `None` for a single value.
+    /// Half the length of the interval, which is `mean - half_width` to `mean + half_width`; `None` for a
+    /// single value.
     pub half_width: Option<f64>,
 }
 
-/// Computes the mean of all finite values; `None` if there are none. The half width is `t·s/sqrt(n)`, with the
-/// unbiased standard deviation s and the 97.5 % quantile t for n - 1 degrees of freedom.
+/// Computes the mean of all finite values; `None` if there are none. The half width is `t·s/sqrt(n)`, with
+/// the unbiased standard deviation s and the 97.5 % quantile t for n - 1 degrees of freedom.
 pub fn mean_interval(values: &[f64]) -> Option<MeanInterval> {
     let values: Vec<f64> = values.iter().copied().filter(|v| v.is_finite()).collect();
     let count = values.len();
@@ -66,8 +67,9 @@ const STUDENT_T: [f64; 30] = [
     2.042_272_456,
 ];
 
-/// Returns the 97.5 % quantile of Student's t. Beyond the table it uses the expansion about the normal quantile (M.
-/// Abramowitz, I. Stegun, *Handbook of Mathematical Functions*, 26.7.5), with an error below 1e-6 there.
+/// Returns the 97.5 % quantile of Student's t. Beyond the table it uses the expansion about the normal
+/// quantile (M. Abramowitz, I. Stegun, *Handbook of Mathematical Functions*, 26.7.5), with an error below
+/// 1e-6 there.
 pub(super) fn student_t(degrees: usize) -> f64 {
     const Z: f64 = 1.959_963_984_540_054;
     if let Some(t) = degrees.checked_sub(1).and_then(|at| STUDENT_T.get(at)) {

@@ -26,8 +26,8 @@ pub(crate) struct Encoded {
     pub(crate) bytes: Vec<u8>,
 }
 
-/// Encodes the maps of all cameras as PNG. `name` returns the name of a file by camera and map; `None` for maps that are not
-/// wanted.
+/// Encodes the maps of all cameras as PNG. `name` returns the name of a file by camera and map; `None` for
+/// maps that are not wanted.
 ///
 /// # Errors
 /// Fails if a number does not fit into a PNG.
@@ -47,9 +47,9 @@ pub(crate) fn maps_as_png(
     Ok(files.into_iter().flatten().collect())
 }
 
-/// Encodes the maps of all cameras for readers that decode every image to 8 bits: as PNG, but maps of 16 bits as arrays
-/// `[H, W]` of `u16` in NPY, with the samples that their PNG would have. `name` returns the name of a file without its
-/// extension, by camera and map.
+/// Encodes the maps of all cameras for readers that decode every image to 8 bits: as PNG, but maps of 16 bits
+/// as arrays `[H, W]` of `u16` in NPY, with the samples that their PNG would have. `name` returns the name of
+/// a file without its extension, by camera and map.
 ///
 /// # Errors
 /// Fails if a number does not fit into 16 bits.
@@ -76,9 +76,9 @@ pub(crate) fn maps_for_8_bits(
     Ok(files.into_iter().flatten().collect())
 }
 
-/// Reads the recorded images of a sample, removes their lens distortion, resizes them to the size of each camera's maps, and
-/// encodes them as JPEG. `name` returns the name of a file by camera. Damaged images are skipped and counted in the shard's
-/// notes.
+/// Reads the recorded images of a sample, removes their lens distortion, resizes them to the size of each
+/// camera's maps, and encodes them as JPEG. `name` returns the name of a file by camera. Damaged images are
+/// skipped and counted in the shard's notes.
 ///
 /// # Errors
 /// Fails if an image cannot be read, or if it is damaged and the log was opened with

@@ -72,8 +72,9 @@ pub struct Export<'a> {
     pub progress: &'a dyn ExportProgress,
 }
 
-/// Writes the shards of a part of a work list. Shards that exist are skipped. Logs and shards that fail are reported, and the
-/// others are written all the same. If all shards of the list exist then, writes `index.json`.
+/// Writes the shards of a part of a work list. Shards that exist are skipped. Logs and shards that fail are
+/// reported, and the others are written all the same. If all shards of the list exist then, writes
+/// `index.json`.
 ///
 /// # Errors
 /// Fails if the folder cannot be written, if it has an export with other options or foreign files, or if it

@@ -37,8 +37,8 @@ impl<'a> Sampler<'a> {
         Self { log, ego: EgoTrack::new(log), map, times }
     }
 
-    /// Returns the samples after the previous frame, up to and including a frame, in order of time. Counts cameras without
-    /// an image and groups without an ego pose.
+    /// Returns the samples after the previous frame, up to and including a frame, in order of time. Counts
+    /// cameras without an image and groups without an ego pose.
     pub(crate) fn of_frame(&self, index: usize, notes: &mut BTreeMap<String, usize>) -> Vec<Sample<'a>> {
         let Some(frame) = self.log.frames.get(index) else { return Vec::new() };
         let mut samples = Vec::new();

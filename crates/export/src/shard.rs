@@ -30,7 +30,8 @@ pub(crate) struct ShardFile {
     pub(crate) sha256: String,
 }
 
-/// Record of a complete shard, `shards/NAME.json`. It is also the list of the files that later runs may replace.
+/// Record of a complete shard, `shards/NAME.json`. It is also the list of the files that later runs may
+/// replace.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub(crate) struct ShardRecord {
     /// Name of the shard.
@@ -54,7 +55,8 @@ pub(crate) struct ShardRecord {
 pub(crate) struct ShardInput {
     /// Of the recording.
     pub(crate) log: String,
-    /// Of the skeleton's manifest, which has checksums of all points. `None` without maps, or if it is unknown.
+    /// Of the skeleton's manifest, which has checksums of all points. `None` without maps, or if it is
+    /// unknown.
     pub(crate) skeleton: Option<String>,
     /// Of the HD map; `None` if it is not drawn or if there is none.
     pub(crate) map: Option<String>,
@@ -63,8 +65,8 @@ pub(crate) struct ShardInput {
 }
 
 impl ShardInput {
-    /// Returns what differs in the input of another shard; `None` if nothing does. A skeleton that was removed does not
-    /// differ.
+    /// Returns what differs in the input of another shard; `None` if nothing does. A skeleton that was
+    /// removed does not differ.
     fn difference(&self, other: &Self) -> Option<&'static str> {
         match (&self.skeleton, &other.skeleton) {
             _ if self.log != other.log => Some("recording"),
@@ -77,12 +79,12 @@ impl ShardInput {
 }
 
 impl ShardRecord {
-    /// Reads the record of a shard and checks that its files exist with their lengths, with `verify` also their checksums.
-    /// `None` if the shard has to be written. With `input`, its fingerprints are compared.
+    /// Reads the record of a shard and checks that its files exist with their lengths, with `verify` also
+    /// their checksums. `None` if the shard has to be written. With `input`, its fingerprints are compared.
     ///
     /// # Errors
-    /// Fails if a file cannot be read, or if the shard has other frames. Fails if it is of another input, which is written
-    /// again with `verify`.
+    /// Fails if a file cannot be read, or if the shard has other frames. Fails if it is of another input,
+    /// which is written again with `verify`.
     pub(crate) fn read(
         out: &Path,
         unit: &WorkUnit,
@@ -143,7 +145,8 @@ fn record_path(name: &str) -> PathBuf {
     Path::new(RECORDS).join(format!("{name}.json"))
 }
 
-/// Files of an unfinished shard. They are removed on drop, by a signal, or by the next process that writes the shard.
+/// Files of an unfinished shard. They are removed on drop, by a signal, or by the next process that writes
+/// the shard.
 pub(crate) struct Shard {
     folder: SharedFolder,
     out: PathBuf,

@@ -44,7 +44,8 @@ pub struct Part {
 }
 
 impl WorkList {
-    /// Divides logs into units of at most `shard_frames` key frames. `frames` restricts each log to some key frames.
+    /// Divides logs into units of at most `shard_frames` key frames. `frames` restricts each log to some key
+    /// frames.
     ///
     /// # Errors
     /// Fails if the names of two logs are equal as file names.
@@ -117,8 +118,8 @@ impl FromStr for Part {
     }
 }
 
-/// Returns a name of letters, digits, `-` and `_` for shards and keys. Others, dots included, become `_`: readers of tar shards
-/// end a key at the first dot.
+/// Returns a name of letters, digits, `-` and `_` for shards and keys. Others, dots included, become `_`:
+/// readers of tar shards end a key at the first dot.
 fn file_name(name: &str) -> String {
     let allowed = |c: char| if c.is_ascii_alphanumeric() || c == '-' { c } else { '_' };
     let name: String = name.chars().map(allowed).take(100).collect();

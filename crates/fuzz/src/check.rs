@@ -6,8 +6,8 @@ use point_skeleton::dataset::{Area, EgoTrack, LogReader, Recording, VectorMap};
 use point_skeleton::files::text::printable_path;
 use point_skeleton::scene::{EgoOffset, SceneMap, frame_rate_hz, state_at, state_of_frame};
 
-/// Asserts that an error ends with its file's name, as messages escape it, and is not much longer than the input that
-/// it may quote.
+/// Asserts that an error ends with its file's name, as messages escape it, and is not much longer than the
+/// input that it may quote.
 #[track_caller]
 pub(crate) fn told(error: impl std::fmt::Display, file: &Path, input: &[u8]) {
     let (message, file) = (error.to_string(), printable_path(file));

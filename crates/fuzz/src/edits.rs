@@ -4,8 +4,8 @@ use serde_json::{Map, Value};
 
 use crate::choices::Choices;
 
-/// Returns the JSON file for an input: after a first byte of 0, the input is edits of `base`; any other input is the
-/// file itself.
+/// Returns the JSON file for an input: after a first byte of 0, the input is edits of `base`; any other input
+/// is the file itself.
 pub fn json_file(data: &[u8], base: &Value) -> Vec<u8> {
     match data.split_first() {
         Some((0, edits)) => {

@@ -1,13 +1,15 @@
 //! Fuzz targets: every reader and protocol of `point-skeleton`, each as a function of bytes.
 //!
 //! # How it works
-//! A target writes its bytes to a file (or sends them through a socket), reads them through the library's public API
-//! and asserts the invariants: no panic, an error that ends with the file's name, results within their ranges,
-//! equality after writing and reading again. [`run`] also checks that memory stays within a small multiple of the
-//! bytes. Formats that random bytes rarely match are edited by value instead; see [`edits`].
+//! A target writes its bytes to a file (or sends them through a socket), reads them through the library's
+//! public API and asserts the invariants: no panic, an error that ends with the file's name, results within
+//! their ranges, equality after writing and reading again. [`run`] also checks that memory stays within a
+//! small multiple of the bytes. Formats that random bytes rarely match are edited by value instead; see
+//! [`edits`].
 //!
-//! `ci/fuzz.sh` runs the targets under libFuzzer with coverage. `tests/short.rs` runs the committed corpus and a few
-//! mutations of it as a test. `cargo run -p point-skeleton-fuzz --bin seeds` regenerates the seeds of the corpus.
+//! `ci/fuzz.sh` runs the targets under libFuzzer with coverage. `tests/short.rs` runs the committed corpus
+//! and a few mutations of it as a test. `cargo run -p point-skeleton-fuzz --bin seeds` regenerates the seeds
+//! of the corpus.
 
 mod check;
 mod choices;
@@ -64,7 +66,8 @@ thread_local! {
     static READY: RefCell<BTreeSet<&'static str>> = const { RefCell::new(BTreeSet::new()) };
 }
 
-/// Runs a target and measures its memory. Allocations of other threads count, so nothing else may run beside it.
+/// Runs a target and measures its memory. Allocations of other threads count, so nothing else may run beside
+/// it.
 ///
 /// # Panics
 /// Panics if an invariant does not hold or the run exceeds its memory limit.

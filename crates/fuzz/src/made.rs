@@ -108,7 +108,8 @@ impl LogReader for Made {
     }
 }
 
-/// Returns a map: a lane, a connector after it, a drivable area with a hole, a crossing, a stop line, a divider.
+/// Returns a map: a lane, a connector after it, a drivable area with a hole, a crossing, a stop line, a
+/// divider.
 pub(crate) fn map() -> VectorMap {
     let corner = |x: f64, y: f64| DVec2::new(START.x + x, START.y + y);
     let area = |x: f64, length: f64| Area {

@@ -1,5 +1,5 @@
-//! Runs every target on its committed corpus and on mutations of it, without instrumentation: a short version of
-//! `ci/fuzz.sh` that takes seconds. The corpus includes inputs that once revealed a fault.
+//! Runs every target on its committed corpus and on mutations of it, without instrumentation: a short version
+//! of `ci/fuzz.sh` that takes seconds. The corpus includes inputs that once revealed a fault.
 
 use std::path::{Path, PathBuf};
 

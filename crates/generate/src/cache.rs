@@ -13,11 +13,11 @@ use super::{GenerateError, GenerateOptions, Latent, LatentShape, Strategy};
 pub struct Cache {
     /// Number of the next frame.
     pub next: usize,
-    /// Latents of the window: L frames, or the last L-1 finished frames before the first step and with strategies
-    /// that do not roll.
+    /// Latents of the window: L frames, or the last L-1 finished frames before the first step and with
+    /// strategies that do not roll.
     pub frames: Vec<Latent>,
-    /// Number of leading frames of the window that are finished and no longer updated: references, or the frames
-    /// that a new window began with.
+    /// Number of leading frames of the window that are finished and no longer updated: references, or the
+    /// frames that a new window began with.
     pub references: usize,
     /// Number of rolls in place after the end of all conditions; only with [`Strategy::Rolling`].
     pub in_place: usize,

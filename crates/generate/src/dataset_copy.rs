@@ -42,7 +42,8 @@ struct Replacement<'a> {
     record: &'a ImageRecord,
 }
 
-/// Copy of a data set to be written. Its folder is opened before anything is generated, and locked until it is written.
+/// Copy of a data set to be written. Its folder is opened before anything is generated, and locked until it
+/// is written.
 #[derive(Debug)]
 pub struct DatasetCopy<'a> {
     root: &'a Path,
@@ -53,11 +54,12 @@ pub struct DatasetCopy<'a> {
 const KIND: &str = "dataset";
 
 impl<'a> DatasetCopy<'a> {
-    /// Opens a folder for a copy of the data set at `root`. `rollout` is a folder that the same run writes, if there is one.
+    /// Opens a folder for a copy of the data set at `root`. `rollout` is a folder that the same run writes,
+    /// if there is one.
     ///
     /// # Errors
-    /// Fails if the folder has other files or cannot be written, if it is in the data set or contains it, if one of folder
-    /// and rollout is in the other, or if the data set is not a folder.
+    /// Fails if the folder has other files or cannot be written, if it is in the data set or contains it, if
+    /// one of folder and rollout is in the other, or if the data set is not a folder.
     pub fn open(root: &'a Path, folder: &Path, rollout: Option<&Path>) -> Result<Self, FileError> {
         if !root.is_dir() {
             return Err(FileError::content("the folder of a data set to copy", "none", root));
@@ -84,7 +86,8 @@ impl<'a> DatasetCopy<'a> {
     /// Writes the copy with the images of rollouts of some logs, enlarged to the original size.
     ///
     /// # Errors
-    /// Fails if a rollout has no generated images at its log's frames, or if a file cannot be read or written.
+    /// Fails if a rollout has no generated images at its log's frames, or if a file cannot be read or
+    /// written.
     pub fn write(self, logs: &[CopiedLog<'_>]) -> Result<ImageCounts, FileError> {
         let Self { root, target } = self;
         let mut by_path = BTreeMap::new();

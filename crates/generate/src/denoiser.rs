@@ -101,8 +101,8 @@ pub trait Codec {
     /// Encodes the images of one frame, one per camera.
     ///
     /// # Errors
-    /// Returns an error if the number of images differs from the number of cameras, or if an image has another
-    /// size.
+    /// Returns an error if the number of images differs from the number of cameras, or if an image has
+    /// another size.
     fn encode(&self, images: &[RgbImage]) -> Result<Latent, DenoiserError>;
 
     /// Decodes the images of a frame, one per camera, from its latent and its conditions.

@@ -8,7 +8,8 @@ use serde::{Deserialize, Serialize};
 use super::frame_conditions::{CAMERA_NUMBERS, FrameConditions, action, camera_numbers};
 use super::{DenoiserError, Recipe};
 
-/// A recording for training networks: conditions and images of each frame. Maps are stored as bytes and depth bins.
+/// A recording for training networks: conditions and images of each frame. Maps are stored as bytes and depth
+/// bins.
 #[derive(Clone, Debug, PartialEq)]
 pub struct TrainingClip {
     /// Metadata of the recording.
@@ -53,11 +54,12 @@ pub struct DriveFrame {
 }
 
 impl DriveFrame {
-    /// Creates a frame from the rendered maps of a step and its images; `before` is the ego pose one frame earlier.
+    /// Creates a frame from the rendered maps of a step and its images; `before` is the ego pose one frame
+    /// earlier.
     ///
     /// # Errors
-    /// Returns an error if a camera lacks a map, if maps or images have another size, or if the number of images
-    /// differs from the number of cameras.
+    /// Returns an error if a camera lacks a map, if maps or images have another size, or if the number of
+    /// images differs from the number of cameras.
     pub fn new(
         about: &DriveInfo,
         set: &ConditionSet,
@@ -133,8 +135,8 @@ impl TrainingClip {
         self.frames[frame].conditions(self.about.recipe.size, encoder)
     }
 
-    /// Removes every N-th frame, N at least 2: frames N - 1, 2 N - 1 and so on. The ego motion of the frames behind them
-    /// then includes theirs.
+    /// Removes every N-th frame, N at least 2: frames N - 1, 2 N - 1 and so on. The ego motion of the frames
+    /// behind them then includes theirs.
     #[must_use]
     pub fn without_every(mut self, n: usize) -> Self {
         let mut skipped = [0.0_f32; 3];

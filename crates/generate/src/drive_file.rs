@@ -15,8 +15,9 @@ use super::{DriveFrame, DriveInfo, TrainingClip};
 const ABOUT: &str = "drive";
 
 impl TrainingClip {
-    /// Writes the recording: `color`, `boxes`, `map`, `truth` (u8 `[F, V, H, W, 3]`), `bins` (u16 `[F, V, H, W]`),
-    /// `action` (f32 `[F, 3]`) and `cameras` (f32 `[F, V, 16]`). The file metadata contain [`DriveInfo`] as JSON.
+    /// Writes the recording: `color`, `boxes`, `map`, `truth` (u8 `[F, V, H, W, 3]`), `bins` (u16 `[F, V, H,
+    /// W]`), `action` (f32 `[F, 3]`) and `cameras` (f32 `[F, V, 16]`). The file metadata contain
+    /// [`DriveInfo`] as JSON.
     ///
     /// # Errors
     /// Fails if the file cannot be written.
@@ -69,8 +70,8 @@ impl TrainingClip {
         let tensor = |name: &str, dtype: Dtype, per_frame: usize| -> Result<&[u8], FileError> {
             let tensor = tensors.tensor(name).map_err(|e| wrong(e.to_string()))?;
             let frames = tensor.shape().first().copied().unwrap_or(0);
-            // The format checks the product of a shape against its bytes, but a shape with a zero may contain any
-            // other sizes.
+            // The format checks the product of a shape against its bytes, but a shape with a zero may contain
+            // any other sizes.
             let values = frames.checked_mul(per_frame);
             let fits = tensor.dtype() == dtype && values == Some(tensor.shape().iter().product());
             if !fits {

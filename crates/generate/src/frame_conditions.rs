@@ -14,11 +14,11 @@ pub struct FrameConditions {
     pub points: Vec<f32>,
     /// Boxes / 255 (3) and map / 255 (3) of each camera: `[V, 6, H, W]`.
     pub layout: Vec<f32>,
-    /// Ego motion since the previous frame, in the previous ego frame: forward and left in meters, yaw in radians.
-    /// Zero for the first frame.
+    /// Ego motion since the previous frame, in the previous ego frame: forward and left in meters, yaw in
+    /// radians. Zero for the first frame.
     pub action: [f32; 3],
-    /// Parameters of each camera, `[V, 16]`: the upper three rows of `ego_from_camera` (row-major, meters), then
-    /// focal lengths and principal point (x, y each) as fractions of width and height.
+    /// Parameters of each camera, `[V, 16]`: the upper three rows of `ego_from_camera` (row-major, meters),
+    /// then focal lengths and principal point (x, y each) as fractions of width and height.
     pub cameras: Vec<[f32; CAMERA_NUMBERS]>,
     /// Prompt for a text encoder; may be empty.
     pub prompt: String,
@@ -37,8 +37,8 @@ impl FrameConditions {
     /// Creates the conditions of a step with model tensors; `before` is the ego pose one step earlier.
     ///
     /// # Errors
-    /// Returns an error if there is no camera, if a camera lacks its model tensors, or if the cameras differ in
-    /// size.
+    /// Returns an error if there is no camera, if a camera lacks its model tensors, or if the cameras differ
+    /// in size.
     pub fn new(
         set: &ConditionSet,
         state: &SceneState,

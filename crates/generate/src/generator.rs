@@ -39,8 +39,8 @@ impl<D: Denoiser, N: NoiseSource> Generator<D, N> {
     /// Resumes from a cache and the committed conditions of the last L-1 frames.
     ///
     /// # Errors
-    /// Returns the errors of [`Generator::new`], or an error if a generator with these options cannot have produced
-    /// the cache.
+    /// Returns the errors of [`Generator::new`], or an error if a generator with these options cannot have
+    /// produced the cache.
     pub fn resume(
         denoiser: D,
         noise: N,
@@ -69,12 +69,12 @@ impl<D: Denoiser, N: NoiseSource> Generator<D, N> {
         &self.denoiser
     }
 
-    /// Generates the next frame. Fewer forecasts than [`GenerateOptions::forecasts`] mean that the conditions end
-    /// there: the window then stays in place.
+    /// Generates the next frame. Fewer forecasts than [`GenerateOptions::forecasts`] mean that the conditions
+    /// end there: the window then stays in place.
     ///
     /// # Errors
-    /// Returns an error if the network fails, or, with [`Strategy::Rolling`](crate::Strategy::Rolling), if the forecasts end before the last
-    /// frame of the window. The cache is then unchanged.
+    /// Returns an error if the network fails, or, with [`Strategy::Rolling`](crate::Strategy::Rolling), if
+    /// the forecasts end before the last frame of the window. The cache is then unchanged.
     pub fn step(
         &mut self,
         now: Committed<D::Condition>,

@@ -1,13 +1,14 @@
-//! The generator: a denoising loop that turns the conditions of a simulation into camera images, frame by frame.
+//! The generator: a denoising loop that turns the conditions of a simulation into camera images, frame by
+//! frame.
 //!
 //! # How it works
-//! A [`Generator`] holds a window of latents. At each simulation step it takes the committed conditions of the step
-//! and forecasts of the next steps, calls its [`Denoiser`] according to its [`Strategy`], and returns the finished
-//! latent of the step. A [`Codec`] decodes that latent into images. `schedule` and `sampler` define the noise
-//! levels and the denoising update. `window` computes the position of every frame of the window in its schedule,
-//! and `guidance` combines two predictions. Networks are exchangeable: the crate `pskel-network` has a small
-//! transformer, which is trained on [`TrainingClip`]s, [`toy`] is a linear network for tests, and [`ProcessDenoiser`]
-//! calls a network in another process.
+//! A [`Generator`] holds a window of latents. At each simulation step it takes the committed conditions of
+//! the step and forecasts of the next steps, calls its [`Denoiser`] according to its [`Strategy`], and
+//! returns the finished latent of the step. A [`Codec`] decodes that latent into images. `schedule` and
+//! `sampler` define the noise levels and the denoising update. `window` computes the position of every frame
+//! of the window in its schedule, and `guidance` combines two predictions. Networks are exchangeable: the
+//! crate `pskel-network` has a small transformer, which is trained on [`TrainingClip`]s, [`toy`] is a linear
+//! network for tests, and [`ProcessDenoiser`] calls a network in another process.
 
 pub mod toy;
 

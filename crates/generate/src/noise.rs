@@ -6,7 +6,8 @@ use super::{Latent, LatentShape};
 
 /// Source of the noise that new frames start from.
 pub trait NoiseSource {
-    /// Returns unit-variance noise for draw number `draw` of frame `frame`. Repeated calls return the same noise.
+    /// Returns unit-variance noise for draw number `draw` of frame `frame`. Repeated calls return the same
+    /// noise.
     fn noise(&mut self, shape: LatentShape, frame: usize, draw: usize) -> Latent;
 }
 

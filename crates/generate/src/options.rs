@@ -29,8 +29,8 @@ impl GenerateOptions {
     /// Validates the options.
     ///
     /// # Errors
-    /// Returns an error if the inference steps cannot be divided evenly among the frames, or if the window is too
-    /// small.
+    /// Returns an error if the inference steps cannot be divided evenly among the frames, or if the window is
+    /// too small.
     pub fn check(&self) -> Result<(), GenerateError> {
         let Self { window, steps, clean, strategy, .. } = *self;
         let wrong = |expected: String, found: String| Err(GenerateError::Options { expected, found });

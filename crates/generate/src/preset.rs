@@ -5,8 +5,8 @@ use point_skeleton::scene::TemplateFit;
 
 use super::Recipe;
 
-/// Conditions and denoising loop of a network of the paper *Point as Skeleton*. Source: the configurations of its
-/// reference implementation.
+/// Conditions and denoising loop of a network of the paper *Point as Skeleton*. Source: the configurations of
+/// its reference implementation.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Preset {
     /// Conditions.
@@ -47,7 +47,8 @@ impl Preset {
     }
 }
 
-/// Returns a recipe of these render and result sizes, splat radii by depth, radius of the scene and far end of the bins.
+/// Returns a recipe of these render and result sizes, splat radii by depth, radius of the scene and far end
+/// of the bins.
 fn recipe(drawn: [u32; 2], size: [u32; 2], splat: &[(f32, u32)], [radius_m, far_m]: [f64; 2]) -> Recipe {
     let size_of = |[height, width]: [u32; 2]| ImageSize { height, width };
     let steps = splat.iter().map(|&(z_max_m, radius)| SplatStep { z_max_m, radius }).collect();

@@ -48,7 +48,8 @@ impl Default for Recipe {
     fn default() -> Self {
         let SelectionOptions { min_actor_points, template_fit } = SelectionOptions::default();
         Self {
-            // Four times the size of the images: surfaces behind each other share fewer pixels than at twice the size.
+            // Four times the size of the images: surfaces behind each other share fewer pixels than at twice
+            // the size.
             drawn: ImageSize { height: 256, width: 448 },
             size: ImageSize { height: 64, width: 112 },
             // Pixels are large: splats only need to close the gaps between LiDAR scan lines.

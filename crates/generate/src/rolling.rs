@@ -101,8 +101,8 @@ fn rolling<D: Denoiser, N: NoiseSource>(
     Ok(cache.frames[size - 1 - (last - frame)].clone())
 }
 
-/// Last frame of a rolling window before its next step. The window advances by one frame with each roll that was
-/// not in place. `None` if there is no window yet, or if all its frames were returned.
+/// Last frame of a rolling window before its next step. The window advances by one frame with each roll that
+/// was not in place. `None` if there is no window yet, or if all its frames were returned.
 fn last_of(options: &GenerateOptions, cache: &Cache) -> Option<usize> {
     let last = (cache.next + options.window - 2).saturating_sub(cache.in_place);
     (cache.frames.len() == options.window && last >= cache.next).then_some(last)
@@ -114,7 +114,8 @@ fn begin(cache: &mut Cache, size: usize) {
     (cache.references, cache.in_place) = (size - 1, 0);
 }
 
-/// Denoises the current frame and `forecasts` more frames together through all inference steps, after clean frames.
+/// Denoises the current frame and `forecasts` more frames together through all inference steps, after clean
+/// frames.
 fn at_once<D: Denoiser, N: NoiseSource>(
     known: &mut StepInputs<'_, D, N>,
     cache: &mut Cache,
@@ -176,8 +177,8 @@ impl<D: Denoiser, N: NoiseSource> StepInputs<'_, D, N> {
         Ok(())
     }
 
-    /// Calls the network once. `history` is the noise level of the frames that are not updated, if it differs from
-    /// the last of the schedule.
+    /// Calls the network once. `history` is the noise level of the frames that are not updated, if it differs
+    /// from the last of the schedule.
     fn call(
         &mut self,
         frames: &mut [Latent],

@@ -13,12 +13,13 @@ pub struct FlowMatch {
 }
 
 impl FlowMatch {
-    /// Creates a schedule of `steps` inference steps. `shift` is 3 for Stable Diffusion 3.5; 1 means no shift.
+    /// Creates a schedule of `steps` inference steps. `shift` is 3 for Stable Diffusion 3.5; 1 means no
+    /// shift.
     pub fn new(steps: usize, shift: f64) -> Self {
         let shifted = |sigma: f64| shift * sigma / (1.0 + (shift - 1.0) * sigma);
         let train = TRAIN_STEPS as f64;
-        // As in diffusers, the range from the highest to the lowest training sigma is shifted, and every level
-        // again.
+        // As in diffusers, the range from the highest to the lowest training sigma is shifted, and every
+        // level again.
         let [first, last] = [1.0, shifted(1.0 / train)].map(|sigma| sigma * train);
         let sigma = |i: usize| {
             let time = first + (last - first) * i as f64 / (steps.max(2) - 1) as f64;
@@ -54,9 +55,9 @@ pub enum Prediction {
     Velocity,
 }
 
-/// Deterministic denoising diffusion implicit models (DDIM, eta 0). The square roots of the betas are evenly spaced
-/// from 0.00085 to 0.012, as in Stable Diffusion. Source: diffusers, `DDIMScheduler` with `steps_offset` 1 and
-/// `set_alpha_to_one` off.
+/// Deterministic denoising diffusion implicit models (DDIM, eta 0). The square roots of the betas are evenly
+/// spaced from 0.00085 to 0.012, as in Stable Diffusion. Source: diffusers, `DDIMScheduler` with
+/// `steps_offset` 1 and `set_alpha_to_one` off.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Ddim {
     /// Cumulative products of `1 - beta`, by training timestep.
@@ -70,7 +71,8 @@ impl Ddim {
 
     /// Creates a schedule of `steps` inference steps, at most 1000.
     pub fn new(steps: usize) -> Self {
-        // Single precision where PyTorch uses it: the residual noise of the last steps depends on its rounding.
+        // Single precision where PyTorch uses it: the residual noise of the last steps depends on its
+        // rounding.
         let [low, high] = Self::BETAS.map(|beta| beta.sqrt() as f32);
         let step = (high - low) / (TRAIN_STEPS - 1) as f32;
         let root = |i: usize| match i < TRAIN_STEPS / 2 {
@@ -97,7 +99,8 @@ impl Ddim {
         self.alphas[timestep.min(TRAIN_STEPS - 1)]
     }
 
-    /// Returns alpha before and after an inference step. After the last step, the first training timestep applies.
+    /// Returns alpha before and after an inference step. After the last step, the first training timestep
+    /// applies.
     fn alphas_of(&self, index: usize) -> [f64; 2] {
         let timestep = self.timesteps[index];
         let after = timestep.saturating_sub(TRAIN_STEPS / self.timesteps.len());

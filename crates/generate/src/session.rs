@@ -100,9 +100,9 @@ impl<'a> Session<'a> {
         Ok(Self { parts, state, before: None, times: GenerationTimes::default() })
     }
 
-    /// Resumes a rollout after `frames` planning steps, before the first call of [`Session::step`]. `last` are the last of these steps, as many as the window
-    /// has frames or all if there are fewer. `cache` is the cache after the last step, if frames were generated
-    /// already.
+    /// Resumes a rollout after `frames` planning steps, before the first call of [`Session::step`]. `last`
+    /// are the last of these steps, as many as the window has frames or all if there are fewer. `cache` is
+    /// the cache after the last step, if frames were generated already.
     ///
     /// # Errors
     /// Returns an error if the number of steps differs, or if the cache is missing or of another frame. Also
@@ -152,8 +152,8 @@ impl<'a> Session<'a> {
     /// Generates the frame of the last committed instant; `None` between planning steps.
     ///
     /// # Errors
-    /// Returns an error if the device, the files of the log, the codec or the network fail. All further steps then
-    /// fail; resume in a new session with [`Session::resume`].
+    /// Returns an error if the device, the files of the log, the codec or the network fail. All further steps
+    /// then fail; resume in a new session with [`Session::resume`].
     pub fn step(
         &mut self,
         simulation: &Simulation<'_>,

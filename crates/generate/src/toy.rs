@@ -1,9 +1,10 @@
-//! A linear network whose predictions can be computed by hand, for tests and for trying out the generator loop.
+//! A linear network whose predictions can be computed by hand, for tests and for trying out the generator
+//! loop.
 
 use super::{Condition, Denoiser, DenoiserError, DroppedConditions, Frame, Latent, LatentShape};
 
-/// Denoiser that predicts `v = 0.6 x - 0.25 x[next frame] + 0.1 x[frame before] + 0.5 condition + 0.05 sigma`. At
-/// the ends of the window, the frame itself replaces the missing neighbor.
+/// Denoiser that predicts `v = 0.6 x - 0.25 x[next frame] + 0.1 x[frame before] + 0.5 condition + 0.05
+/// sigma`. At the ends of the window, the frame itself replaces the missing neighbor.
 #[derive(Clone, Copy, Debug)]
 pub struct LinearDenoiser {
     /// Shape of its latents and of its conditions.

@@ -25,9 +25,9 @@ impl Roll {
         (self.steps > 0 && self.steps.is_multiple_of(moving)).then(|| self.steps / moving)
     }
 
-    /// Returns the schedule position of every frame of the window at a network call. `call` runs from `T - S` to
-    /// `T - 1` in a roll, and on from there while the window stays in place. The first `references` frames are
-    /// finished.
+    /// Returns the schedule position of every frame of the window at a network call. `call` runs from `T - S`
+    /// to `T - 1` in a roll, and on from there while the window stays in place. The first `references` frames
+    /// are finished.
     pub fn progress(&self, call: usize, references: usize) -> Vec<Progress> {
         let per_roll = self.per_roll().unwrap_or(self.steps);
         let last = self.steps.saturating_sub(1);

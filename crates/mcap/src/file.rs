@@ -1,4 +1,5 @@
-//! An MCAP file that is written in one pass. Chunks are not compressed, since nearly all bytes are of PNG and JPEG.
+//! An MCAP file that is written in one pass. Chunks are not compressed, since nearly all bytes are of PNG and
+//! JPEG.
 
 use std::collections::BTreeMap;
 use std::io::Write;

@@ -61,8 +61,8 @@ pub(super) fn image(topic: &str, format: &str, bytes: Vec<u8>, time: Timestamp) 
     }
 }
 
-/// Returns the poses of the ego and of its cameras. Each camera has the pose of its maps: that at the time of its own image,
-/// relative to the ego at the time of the sample.
+/// Returns the poses of the ego and of its cameras. Each camera has the pose of its maps: that at the time of
+/// its own image, relative to the ego at the time of the sample.
 pub(super) fn transforms(state: &SceneState, origin: DVec3, time: Timestamp) -> FrameTransforms {
     let transform = |parent: &str, child: String, rotation: DQuat, translation: DVec3| FrameTransform {
         timestamp: Some(time),
@@ -82,8 +82,8 @@ pub(super) fn transforms(state: &SceneState, origin: DVec3, time: Timestamp) -> 
     FrameTransforms { transforms: std::iter::once(ego).chain(cameras).collect() }
 }
 
-/// Returns the boxes of actors, which replace those of the previous instant. Each update is complete, so viewers may start at
-/// any instant.
+/// Returns the boxes of actors, which replace those of the previous instant. Each update is complete, so
+/// viewers may start at any instant.
 pub(super) fn actors(actors: &[ActorState], origin: DVec3, time: Timestamp) -> SceneUpdate {
     let all = scene_entity_deletion::Type::All;
     let deletion = SceneEntityDeletion { timestamp: Some(time), r#type: all.into(), ..Default::default() };

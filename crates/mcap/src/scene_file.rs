@@ -78,8 +78,8 @@ impl<W: Write> SceneFile<W> {
         self.file.write("/log", time, &messages::text(level, name, text, time))
     }
 
-    /// Writes the poses of ego and cameras to `/tf`, the boxes of actors to `/actors`, and the calibrations of maps of these
-    /// sizes, one per camera.
+    /// Writes the poses of ego and cameras to `/tf`, the boxes of actors to `/actors`, and the calibrations
+    /// of maps of these sizes, one per camera.
     ///
     /// # Errors
     /// See [`Self::begin`].

@@ -85,8 +85,8 @@ impl NetworkConfig {
     /// Validates the configuration.
     ///
     /// # Errors
-    /// Returns an error if a dimension is out of range, if the sides of images are not multiples of 8, or if the width is not a
-    /// multiple of the head width.
+    /// Returns an error if a dimension is out of range, if the sides of images are not multiples of 8, or if
+    /// the width is not a multiple of the head width.
     pub fn check(&self) -> Result<(), NetworkError> {
         let Self { frames, channels, width, head, hidden, .. } = *self;
         let numbers = [&[frames, width, head, hidden, self.blocks.len()][..], &channels].concat();

@@ -12,8 +12,8 @@ use super::{
     WindowConditions,
 };
 
-/// The network as a denoiser, which predicts the velocity of flow matching, and as the codec of its latents. Copies share their
-/// encoded conditions.
+/// The network as a denoiser, which predicts the velocity of flow matching, and as the codec of its latents.
+/// Copies share their encoded conditions.
 #[derive(Clone)]
 pub struct Network {
     config: NetworkConfig,

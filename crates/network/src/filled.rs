@@ -6,8 +6,8 @@ use rayon::prelude::*;
 
 use super::inputs::filled_color;
 
-/// A generator without a network: its images are the color maps with their holes filled. The least that a network must
-/// surpass.
+/// A generator without a network: its images are the color maps with their holes filled. The least that a
+/// network must surpass.
 #[derive(Clone, Debug)]
 pub struct FilledColor {
     size: ImageSize,

@@ -161,8 +161,8 @@ impl GeneratorSettings {
     /// Opens the weights or starts the process, for the cameras of a log.
     ///
     /// # Errors
-    /// Fails if the options are inconsistent, if the weights are damaged, if there are more than 8 cameras, or if the
-    /// process does not answer.
+    /// Fails if the options are inconsistent, if the weights are damaged, if there are more than 8 cameras,
+    /// or if the process does not answer.
     pub fn open(&self, name: &NetworkName, rig: &DenoiserRig) -> Result<OpenedNetwork, OpenNetworkError> {
         let cameras = rig.cameras.len();
         let opened = match name {
@@ -305,7 +305,8 @@ impl OpenedNetwork {
     }
 }
 
-/// Returns the number of values per pixel that a network holds while it encodes conditions: its input, and stages at the full size.
+/// Returns the number of values per pixel that a network holds while it encodes conditions: its input, and
+/// stages at the full size.
 fn activations(config: &NetworkConfig) -> usize {
     let [full, ..] = config.channels;
     PLANES + 3 * full

@@ -8,11 +8,11 @@ use super::config::{CELL, LATENT_CHANNELS, TOKEN};
 use super::fill::fill;
 use super::{NetworkConfig, NetworkError};
 
-/// Numbers of a pixel: filled color (3), filled depth, whether color and depth are known (2), layout (6), direction of
-/// the ray in the ego frame (3), and a zero.
+/// Numbers of a pixel: filled color (3), filled depth, whether color and depth are known (2), layout (6),
+/// direction of the ray in the ego frame (3), and a zero.
 pub(super) const PLANES: usize = 16;
-/// Number of values of a token's ray: its direction in the ego frame, and sines and cosines of 1, 2, 4 and 8 times
-/// it.
+/// Number of values of a token's ray: its direction in the ego frame, and sines and cosines of 1, 2, 4 and 8
+/// times it.
 pub(super) const RAY: usize = 3 + 2 * 3 * OCTAVES;
 const OCTAVES: usize = 4;
 /// Number of values of the ego motion: forward, left, turn, and whether it is known.
@@ -202,8 +202,8 @@ mod tests {
         assert_eq!(rays.len(), 9 * RAY);
         let ray = |token: usize| &rays[token * RAY..][..RAY];
         assert_eq!(ray(4)[..9], [1.0, 0.0, 0.0, 1.0_f32.sin(), 0.0, 0.0, 1.0_f32.cos(), 1.0, 1.0]);
-        // Right by a third of the width, with a focal length of the width; up by a third of the height, with half
-        // of it.
+        // Right by a third of the width, with a focal length of the width; up by a third of the height, with
+        // half of it.
         let (right, up) = (1.0 / 3.0, 2.0 / 3.0);
         let length = (1.0_f32 + right * right + up * up).sqrt();
         let expected = [1.0, -right, up].map(|d| d / length);

@@ -1,11 +1,13 @@
-//! Conversion of images to latents, and between the orders of latents: rows `[V h w, C]` and planes `[V, C, h, w]`.
+//! Conversion of images to latents, and between the orders of latents: rows `[V h w, C]` and planes `[V, C,
+//! h, w]`.
 
 use pskel_generate::{Latent, LatentShape};
 
 use super::inputs::means;
 use super::{NetworkConfig, Statistics};
 
-/// Returns the latents of a frame's pixels `[V, H, W]`, RGB, as rows `[V h w, 3]`: mean colors of 4x4 pixels, normalized.
+/// Returns the latents of a frame's pixels `[V, H, W]`, RGB, as rows `[V h w, 3]`: mean colors of 4x4 pixels,
+/// normalized.
 pub(crate) fn latent_rows(config: &NetworkConfig, statistics: &Statistics, pixels: &[[u8; 3]]) -> Vec<f32> {
     let [height, width] = config.divided(1);
     let levels: Vec<[f32; 3]> =

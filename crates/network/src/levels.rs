@@ -1,14 +1,15 @@
 //! Preconditioning of the network: its input and output at a noise level.
 //!
 //! # How it works
-//! A noisy latent is `x = (1-s) x0 + s e`. The conditions of a patch give a guess `mu` of `x0`, whose error has a
-//! standard deviation `p` per channel. With `y = x - (1-s) mu` and `D = (1-s)^2 p^2 + s^2`, the variance of `y`,
-//! the best linear estimate (Wiener, 1949) of `x0` is `mu + a y` with `a = (1-s) p^2 / D`. Its error has the
-//! variance `c^2 = s^2 p^2 / D`. The network's input is `y / sqrt D`, and its output `F` is that error in units of
-//! `c`: `x0 = mu + a y + c F`. Input and target output therefore have unit variance at all levels and in all
-//! channels where the error of the guess is `p`. `p` is set to the expected error of the trained network, so the
-//! variance is larger at the beginning of training. Source: Karras et al., "Elucidating the Design Space of
-//! Diffusion-Based Generative Models", 2022, section 5, for `mu = 0` and a single `p`.
+//! A noisy latent is `x = (1-s) x0 + s e`. The conditions of a patch give a guess `mu` of `x0`, whose error
+//! has a standard deviation `p` per channel. With `y = x - (1-s) mu` and `D = (1-s)^2 p^2 + s^2`, the
+//! variance of `y`, the best linear estimate (Wiener, 1949) of `x0` is `mu + a y` with `a = (1-s) p^2 / D`.
+//! Its error has the variance `c^2 = s^2 p^2 / D`. The network's input is `y / sqrt D`, and its output `F` is
+//! that error in units of `c`: `x0 = mu + a y + c F`. Input and target output therefore have unit variance at
+//! all levels and in all channels where the error of the guess is `p`. `p` is set to the expected error of
+//! the trained network, so the variance is larger at the beginning of training. Source: Karras et al.,
+//! "Elucidating the Design Space of Diffusion-Based Generative Models", 2022, section 5, for `mu = 0` and a
+//! single `p`.
 
 use candle_core::{Device, Result, Tensor};
 
@@ -29,7 +30,8 @@ fn variance(s: f64, p: f64) -> f64 {
 }
 
 impl<'a> Levels<'a> {
-    /// Creates the factors for frames with noise `sigmas [F]` and channels whose guess has errors `priors [C]`.
+    /// Creates the factors for frames with noise `sigmas [F]` and channels whose guess has errors `priors
+    /// [C]`.
     pub(crate) fn new(sigmas: &'a [f32], priors: &'a [f32]) -> Self {
         Self { sigmas, priors }
     }
@@ -71,9 +73,9 @@ impl<'a> Levels<'a> {
         (guess + known)? + missing
     }
 
-    /// Returns the target `F`, for which [`Levels::clean`] is `x0` if `x = (1-s) x0 + s e`:
-    /// `(s (x0 - mu) / p - (1-s) p e) / sqrt D`. This equals `(x0 - mu - a y) / c` without the cancellation of
-    /// nearly equal terms.
+    /// Returns the target `F`, for which [`Levels::clean`] is `x0` if `x = (1-s) x0 + s e`: `(s (x0 - mu) / p
+    /// - (1-s) p e) / sqrt D`. This equals `(x0 - mu - a y) / c` without the cancellation of nearly equal
+    /// terms.
     pub(crate) fn answer(&self, clean: &Tensor, guess: &Tensor, noise: &Tensor) -> Result<Tensor> {
         let off = self.times(&(clean - guess)?, |s, p| s / (p * variance(s, p).sqrt()))?;
         let noise = self.times(noise, |s, p| (1.0 - s) * p / variance(s, p).sqrt())?;
@@ -139,8 +141,8 @@ mod tests {
         assert!(off(&both, &noisy) > 0.1);
     }
 
-    /// If the error of the guess is `p`, input and target have unit variance and are not correlated: no linear
-    /// relation is left to learn.
+    /// If the error of the guess is `p`, input and target have unit variance and are not correlated: no
+    /// linear relation is left to learn.
     #[test]
     fn question_and_answer_have_unit_variance() {
         use pskel_generate::{GaussianNoise, LatentShape, NoiseSource};

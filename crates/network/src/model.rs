@@ -7,11 +7,12 @@ use super::kernels::{AttentionMlp, Convolution, Grid, LANES, Resize};
 use super::parameters::{Modulations, WAVES, shapes};
 use super::{Inputs, Levels, NetworkConfig, NetworkError, Statistics, ops, threads};
 
-/// The network. A convolutional encoder turns the conditions of a frame into features at four sizes, once per frame. The
-/// denoiser works on latents at a quarter of the size, with attention within images, across cameras and over time at an eighth.
-/// The decoder turns a finished latent and the features of its frame into images. Rows of tensors are pixels: `[N H W, C]`.
-/// Sources: Ronneberger et al., "U-Net", 2015; Peebles and Xie, "Scalable Diffusion Models with Transformers", 2023; Chen et
-/// al., "Diffusion Forcing", 2024 (a noise level per frame).
+/// The network. A convolutional encoder turns the conditions of a frame into features at four sizes, once per
+/// frame. The denoiser works on latents at a quarter of the size, with attention within images, across
+/// cameras and over time at an eighth. The decoder turns a finished latent and the features of its frame into
+/// images. Rows of tensors are pixels: `[N H W, C]`. Sources: Ronneberger et al., "U-Net", 2015; Peebles and
+/// Xie, "Scalable Diffusion Models with Transformers", 2023; Chen et al., "Diffusion Forcing", 2024 (a noise
+/// level per frame).
 #[derive(Clone, Debug)]
 pub(crate) struct Model {
     config: NetworkConfig,
@@ -60,7 +61,8 @@ impl Model {
     /// Creates a model that shares the given parameters.
     ///
     /// # Errors
-    /// Returns an error if the configuration is inconsistent, or if parameters are missing or have other shapes.
+    /// Returns an error if the configuration is inconsistent, or if parameters are missing or have other
+    /// shapes.
     pub(crate) fn new(
         config: &NetworkConfig,
         statistics: &Statistics,
@@ -150,8 +152,9 @@ impl Model {
         (self.biased(&x, "decode.out")? + color)? + 0.5
     }
 
-    /// Returns the network's output for noisy latents `[B L V h w, 3]` with noise `sigmas [B L]`: the error of the linear
-    /// estimate, in the units of [`Levels`]. `encoded` has the conditions of the frames of `windows` windows.
+    /// Returns the network's output for noisy latents `[B L V h w, 3]` with noise `sigmas [B L]`: the error
+    /// of the linear estimate, in the units of [`Levels`]. `encoded` has the conditions of the frames of
+    /// `windows` windows.
     pub(crate) fn answer(
         &self,
         noisy: &Tensor,
@@ -182,8 +185,9 @@ impl Model {
         self.linear(&ops::norm_modulate(&x, &part(columns.output(), 2 * quarter)?)?, "out")
     }
 
-    /// Returns tokens `[R, d]` after all blocks. A block computes one attention and one hidden layer in parallel after a
-    /// shared norm: `x + gate W_out [attention(q, k, v), gelu(hidden)]` with `[q, k, v, hidden] = W_in norm(x)`.
+    /// Returns tokens `[R, d]` after all blocks. A block computes one attention and one hidden layer in
+    /// parallel after a shared norm: `x + gate W_out [attention(q, k, v), gelu(hidden)]` with `[q, k, v,
+    /// hidden] = W_in norm(x)`.
     fn tokens(
         &self,
         x: &Tensor,

@@ -31,8 +31,8 @@ impl Parameter {
     }
 }
 
-/// Columns of the modulation: of the first and the last residual block (shift, scale and gate), of the output (shift
-/// and scale), and of each block of tokens (shift, scale and gate).
+/// Columns of the modulation: of the first and the last residual block (shift, scale and gate), of the output
+/// (shift and scale), and of each block of tokens (shift, scale and gate).
 pub(super) struct Modulations {
     quarter: usize,
     width: usize,

@@ -12,8 +12,8 @@ pub struct Statistics {
     pub means: Vec<f32>,
     /// Standard deviations of the mean colors of 4x4 pixels, by which latents are divided.
     pub scales: Vec<f32>,
-    /// Standard deviations of the error that the network is expected to leave. As measured, they are those of the
-    /// filled color. In weights they are multiplied by
+    /// Standard deviations of the error that the network is expected to leave. As measured, they are those of
+    /// the filled color. In weights they are multiplied by
     /// [`TrainOptions::expected_error`](crate::train::TrainOptions::expected_error).
     pub priors: Vec<f32>,
 }

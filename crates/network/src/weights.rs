@@ -29,7 +29,8 @@ pub struct Provenance {
     pub command: String,
 }
 
-/// Weights of a network. The file is safetensors, f32; everything else is JSON in the metadata entry `network`.
+/// Weights of a network. The file is safetensors, f32; everything else is JSON in the metadata entry
+/// `network`.
 #[derive(Clone, Debug)]
 pub struct Weights {
     /// Configuration of the network.
@@ -99,8 +100,8 @@ impl Weights {
     /// Reads a file written by [`Weights::write`].
     ///
     /// # Errors
-    /// Fails if the file cannot be read or its header is invalid, or if parameters are missing, superfluous, or of
-    /// another shape or type.
+    /// Fails if the file cannot be read or its header is invalid, or if parameters are missing, superfluous,
+    /// or of another shape or type.
     pub fn open(path: &Path) -> Result<Self, NetworkError> {
         Self::read(&read_whole(path)?, path)
     }

@@ -1,5 +1,5 @@
-//! Fidelity of the color map: builds a skeleton from every other frame of a log, renders the frames in between and
-//! compares them with their images.
+//! Fidelity of the color map: builds a skeleton from every other frame of a log, renders the frames in
+//! between and compares them with their images.
 //!
 //! `cargo run --release --example fidelity -- nuscenes:DIR [--every-camera]`
 #![allow(clippy::print_stdout)] // prints its results
@@ -107,8 +107,8 @@ fn build_options(args: &Args) -> BuildOptions {
     options
 }
 
-/// Compares the images of a frame with the maps of the skeleton at each image's own time: actors move between the images
-/// of a frame.
+/// Compares the images of a frame with the maps of the skeleton at each image's own time: actors move between
+/// the images of a frame.
 fn compare_frame(
     (source, ego): (&Log, &EgoTrack),
     frame: usize,

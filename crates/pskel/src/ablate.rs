@@ -27,13 +27,14 @@ const TABLE: Choices<Table> = Choices(&[
 
 /// Compare strategies, conditions and trainings of the generator in synthetic towns and recorded logs
 ///
-/// In each town the ego changes lanes in a closed loop; in a recorded log it follows the log, since the ground truth is known only
-/// there. Each variant generates the same steps. Writes
-/// SCENE/ROW.json and SCENE/ROW.png for each variant, then results.json, table.md and curves as SVG. Existing results
-/// are reused, so the command resumes after an interruption and accepts additional networks and logs.
+/// In each town the ego changes lanes in a closed loop; in a recorded log it follows the log, since the
+/// ground truth is known only there. Each variant generates the same steps. Writes SCENE/ROW.json and
+/// SCENE/ROW.png for each variant, then results.json, table.md and curves as SVG. Existing results are
+/// reused, so the command resumes after an interruption and accepts additional networks and logs.
 #[derive(Debug, Args)]
 pub(super) struct AblateArgs {
-    /// Logs that were not used to train the networks: town:seed=904,frames=80[,..], nuscenes:.., nuplan:.. or av2:..
+    /// Logs that were not used to train the networks: town:seed=904,frames=80[,..], nuscenes:.., nuplan:.. or
+    /// av2:..
     #[arg(value_name = "LOG", required = true, value_parser = log_args::log)]
     logs: Vec<LogLocator>,
     #[command(flatten)]
@@ -44,7 +45,8 @@ pub(super) struct AblateArgs {
     /// Weights of `pskel train --no-augment`, for the row that measures the effect of asset augmentation
     #[arg(long, value_name = "FILE")]
     plain_weights: Option<PathBuf>,
-    /// Weights of the same training with another seed, for a row that measures random variation; may be repeated
+    /// Weights of the same training with another seed, for a row that measures random variation; may be
+    /// repeated
     #[arg(long = "other-seed", value_name = "FILE")]
     other_seeds: Vec<PathBuf>,
     /// Tables to compute [default: all]
@@ -66,8 +68,8 @@ pub(super) struct AblateArgs {
     /// With non_causal, forecasts in the window
     #[arg(long, value_name = "K", default_value_t = AblateOptions::default().ahead)]
     ahead: usize,
-    /// Augment a share of the scenes' assets with this seed, as in training: thinned, or reduced to the points seen
-    /// by one camera
+    /// Augment a share of the scenes' assets with this seed, as in training: thinned, or reduced to the
+    /// points seen by one camera
     #[arg(long, value_name = "SEED", num_args = 0..=1, require_equals = true, default_missing_value = "0")]
     augment: Option<u64>,
     /// Seed of noise, features and classifiers

@@ -22,9 +22,9 @@ use crate::logs;
 
 /// Build a point skeleton from recordings: colored background, and an asset per tracked actor
 ///
-/// Writes a folder with skeleton.json (content, options, and counts of dropped points by reason) and three files of
-/// points. An older skeleton in that folder is replaced once the new one is complete. Until then, a folder
-/// SKEL.partial holds the finished part; after an interruption, --resume continues it.
+/// Writes a folder with skeleton.json (content, options, and counts of dropped points by reason) and three
+/// files of points. An older skeleton in that folder is replaced once the new one is complete. Until then, a
+/// folder SKEL.partial holds the finished part; after an interruption, --resume continues it.
 #[derive(Debug, Args)]
 pub(super) struct BuildArgs {
     /// Recording: FORMAT:PATH[@VERSION][#SCENE], like nuscenes:/data/nuscenes@v1.0-mini#scene-0061; several
@@ -36,8 +36,8 @@ pub(super) struct BuildArgs {
     /// Folder to write
     #[arg(long, value_name = "SKEL", value_parser = log_args::output_folder())]
     out: PathBuf,
-    /// Side of the voxels in which points are merged, meters; 0 retains all points [default: 0.01; 0 with --coloring
-    /// every-camera]
+    /// Side of the voxels in which points are merged, meters; 0 retains all points [default: 0.01; 0 with
+    /// --coloring every-camera]
     #[arg(long, value_name = "M", value_parser = numbers::voxel_m, allow_negative_numbers = true)]
     voxel: Option<f64>,
     /// Side of the voxels of actors' points, meters; 0 retains all points, as in the paper [default: --voxel]
@@ -58,15 +58,15 @@ pub(super) struct BuildArgs {
     /// Also use the sweeps between annotated frames, with interpolated boxes
     #[arg(long)]
     sweeps: bool,
-    /// Grow boxes by this margin on every side before points are assigned to actors, meters [default: depends on
-    /// --coloring]
+    /// Grow boxes by this margin on every side before points are assigned to actors, meters [default: depends
+    /// on --coloring]
     #[arg(long, value_name = "M", value_parser = numbers::margin_m, allow_negative_numbers = true)]
     box_margin: Option<f64>,
     /// How points are colored; every-camera reproduces existing scripts, for comparison
     #[arg(long, value_parser = choices::COLORING, default_value = "agreed")]
     coloring: Coloring,
-    /// Template for actors of a kind (sedan, suv, pickup, pedestrian, bike, truck, bus, trailer, construction):
-    /// points with x forward and z up; at most once per kind
+    /// Template for actors of a kind (sedan, suv, pickup, pedestrian, bike, truck, bus, trailer,
+    /// construction): points with x forward and z up; at most once per kind
     #[arg(long = "template", value_name = "KIND=FILE.npy|ply")]
     templates: Vec<TemplateFile>,
     /// Create templates from the log's own actors; those of --template take precedence

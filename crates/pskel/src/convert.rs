@@ -11,8 +11,8 @@ use super::{WrongUsage, choices, log_args, say, tell_notes};
 
 /// Convert points: a skeleton to NPY or PLY files, or one such file to the other format
 ///
-/// A skeleton becomes a folder with background, actors/TRACK and templates/KIND, floats Nx6 (x y z r g b), and
-/// origins.json, which holds the origin of the background's coordinates and the file of each track.
+/// A skeleton becomes a folder with background, actors/TRACK and templates/KIND, floats Nx6 (x y z r g b),
+/// and origins.json, which holds the origin of the background's coordinates and the file of each track.
 #[derive(Debug, Args)]
 pub(super) struct ConvertArgs {
     /// Skeleton folder, or a file of points

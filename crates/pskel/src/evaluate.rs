@@ -13,11 +13,11 @@ use super::{WrongUsage, outputs, say, tell};
 
 /// Score the generated images of rollouts against ground truth
 ///
-/// For each rollout of simulate --generator: PSNR, SSIM and sharpness by step with their drift, motion of moving
-/// actors, and the IoU of vehicles in class maps and in images. For all rollouts: means with 95 % confidence
-/// intervals over rollouts, and Fréchet distances of images and videos by a network of fixed random convolutions (not
-/// Inception, so not comparable with published FID and FVD). Reference images are not scored. Metrics whose ground
-/// truth or maps are missing are null.
+/// For each rollout of simulate --generator: PSNR, SSIM and sharpness by step with their drift, motion of
+/// moving actors, and the IoU of vehicles in class maps and in images. For all rollouts: means with 95 %
+/// confidence intervals over rollouts, and Fréchet distances of images and videos by a network of fixed
+/// random convolutions (not Inception, so not comparable with published FID and FVD). Reference images are
+/// not scored. Metrics whose ground truth or maps are missing are null.
 #[derive(Debug, Args)]
 pub(super) struct EvaluateArgs {
     /// Folders of rollouts with generated images
@@ -26,20 +26,20 @@ pub(super) struct EvaluateArgs {
     /// Also write all numbers to this file
     #[arg(long, value_name = "F.json")]
     out: Option<PathBuf>,
-    /// Vehicle masks of a segmentor, in DIR/NNNNNN/CAM.png of any size, vehicles not 0; once for each rollout, in
-    /// order
+    /// Vehicle masks of a segmentor, in DIR/NNNNNN/CAM.png of any size, vehicles not 0; once for each
+    /// rollout, in order
     #[arg(long, value_name = "DIR")]
     masks: Vec<PathBuf>,
-    /// Train the patch classifier on ground-truth images and class maps of this rollout, may be repeated [default: on
-    /// the other half of the steps]
+    /// Train the patch classifier on ground-truth images and class maps of this rollout, may be repeated
+    /// [default: on the other half of the steps]
     #[arg(long, value_name = "DIR")]
     classifier_from: Vec<PathBuf>,
-    /// Compare with the ground-truth images of this rollout in the Fréchet distances, may be repeated [default: those
-    /// of the scored rollouts]
+    /// Compare with the ground-truth images of this rollout in the Fréchet distances, may be repeated
+    /// [default: those of the scored rollouts]
     #[arg(long, value_name = "DIR")]
     reference: Vec<PathBuf>,
-    /// Also compute a Fréchet distance of features of another network: NPY files of f32 or f64 [N, D], for generated
-    /// and for ground-truth images
+    /// Also compute a Fréchet distance of features of another network: NPY files of f32 or f64 [N, D], for
+    /// generated and for ground-truth images
     #[arg(long, value_names = ["GEN.npy", "TRUE.npy"], num_args = 2)]
     features: Vec<PathBuf>,
     /// Score only every N-th frame: N - 1, 2 N - 1, .., those that `train --hold-out N` leaves out

@@ -25,14 +25,15 @@ use crate::logs;
 
 /// Export the condition maps of many recordings in a layout that trainers read
 ///
-/// Each recording is divided into shards of some frames. A shard is written under a temporary name and appears whole,
-/// together with its record in shards/. Shards that exist are skipped, so the same command continues an interrupted
-/// export, and several processes or machines may run it on one folder. Skeletons that do not exist are built. Recordings
-/// that are damaged are reported at the end, and the others are exported all the same. See docs/EXPORT.md.
+/// Each recording is divided into shards of some frames. A shard is written under a temporary name and
+/// appears whole, together with its record in shards/. Shards that exist are skipped, so the same command
+/// continues an interrupted export, and several processes or machines may run it on one folder. Skeletons
+/// that do not exist are built. Recordings that are damaged are reported at the end, and the others are
+/// exported all the same. See docs/EXPORT.md.
 #[derive(Debug, Args)]
 pub(super) struct ExportArgs {
-    /// Recordings: FORMAT:PATH[@VERSION][#SCENE]; "#*" is every scene of a nuScenes version, and a folder of nuPlan or
-    /// Argoverse 2 logs is all of them
+    /// Recordings: FORMAT:PATH[@VERSION][#SCENE]; "#*" is every scene of a nuScenes version, and a folder of
+    /// nuPlan or Argoverse 2 logs is all of them
     #[arg(value_name = "LOG", required = true, value_parser = log_args::log)]
     logs: Vec<LogLocator>,
     #[command(flatten)]
@@ -64,7 +65,8 @@ pub(super) struct ExportArgs {
     /// Also export the images between key frames (nuScenes: 12 Hz)
     #[arg(long, conflicts_with = "hz")]
     between_images: bool,
-    /// Export samples at this rate (0.1 to 100 per second) instead of key frames; ego and actors are interpolated
+    /// Export samples at this rate (0.1 to 100 per second) instead of key frames; ego and actors are
+    /// interpolated
     #[arg(long, value_name = "F", value_parser = numbers::rate_hz, allow_negative_numbers = true)]
     hz: Option<f64>,
     /// Also export the recorded images, without lens distortion and at the size of the maps
@@ -171,7 +173,8 @@ impl ExportCommand {
     /// Exports the shards of a part. The report includes the logs that could not be listed.
     ///
     /// # Errors
-    /// Fails if options contradict each other, if the folder cannot be written, or if `progress` requests a stop.
+    /// Fails if options contradict each other, if the folder cannot be written, or if `progress` requests a
+    /// stop.
     pub fn run(&self, listed: &ListedExport, progress: &dyn ExportProgress) -> anyhow::Result<ExportReport> {
         let args = &self.args;
         let mut report = export(Export {
@@ -191,7 +194,8 @@ impl ExportCommand {
         Ok(report)
     }
 
-    /// Writes the index of an export whose records are in a folder, if all of them are. Returns whether they are.
+    /// Writes the index of an export whose records are in a folder, if all of them are. Returns whether they
+    /// are.
     ///
     /// # Errors
     /// Fails if the file cannot be written.

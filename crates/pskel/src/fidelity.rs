@@ -23,9 +23,9 @@ use super::{WrongUsage, outputs, say, skeletons};
 
 /// Measure the fidelity of condition maps: those of the synthetic town against its ground truth
 ///
-/// Every frame is rendered from the recorded pose, from 0.5, 1, 2 and 3.5 m beside it, and rotated by 5, 10 and 20
-/// degrees. Color is compared on filled pixels, depth where both have one, masks by class. Offsets are to the right,
-/// or to the left if only that is on a lane.
+/// Every frame is rendered from the recorded pose, from 0.5, 1, 2 and 3.5 m beside it, and rotated by 5, 10
+/// and 20 degrees. Color is compared on filled pixels, depth where both have one, masks by class. Offsets are
+/// to the right, or to the left if only that is on a lane.
 #[derive(Debug, Args)]
 pub(super) struct FidelityArgs {
     /// Synthetic town: town:seed=7,frames=40[,..]
@@ -43,8 +43,8 @@ pub(super) struct FidelityArgs {
     /// Reduce maps and ground truth to this size after rendering [default: no reduction]
     #[arg(long, value_name = "HxW")]
     out_size: Option<ImageSize>,
-    /// Splat radius by depth: up to Z meters a point covers (2R+1) x (2R+1) pixels; points beyond the last Z are
-    /// culled
+    /// Splat radius by depth: up to Z meters a point covers (2R+1) x (2R+1) pixels; points beyond the last Z
+    /// are culled
     #[arg(long, value_name = "Z:R,..", default_value_t)]
     splat: SplatSchedule,
     #[command(flatten)]

@@ -1,5 +1,5 @@
-//! `pskel generate`: replays a log frame by frame and generates its images. It runs `pskel simulate` on the log's own
-//! frames; [`DatasetCopy`] writes the images back into a copy of the data set.
+//! `pskel generate`: replays a log frame by frame and generates its images. It runs `pskel simulate` on the
+//! log's own frames; [`DatasetCopy`] writes the images back into a copy of the data set.
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -22,8 +22,8 @@ use super::{WrongUsage, say};
 /// Regenerate the images of a log from its conditions: ego and actors follow the log
 ///
 /// Writes a rollout like that of `pskel simulate` with one step per frame: steps/STEP with the maps,
-/// generated/CAM.png and truth/CAM.png, index.html, a page that plays it, and rollout.mp4. The first frames are
-/// references, which are ground-truth images.
+/// generated/CAM.png and truth/CAM.png, index.html, a page that plays it, and rollout.mp4. The first frames
+/// are references, which are ground-truth images.
 #[derive(Debug, Args)]
 pub(super) struct GenerateArgs {
     /// Recording: FORMAT:PATH[@VERSION][#SCENE], like nuscenes:/data/nuscenes@v1.0-mini#scene-0061
@@ -37,26 +37,29 @@ pub(super) struct GenerateArgs {
     /// Folder to write: a new or empty one, or an earlier rollout, which is replaced
     #[arg(long, value_name = "DIR", value_parser = log_args::output_folder())]
     out: PathBuf,
-    /// Network: network (shipped with the program), network:FILE with weights of `pskel train`, fill (no network: holes filled), or process:COMMAND,
-    /// process:unix:PATH or process:tcp:HOST:PORT (docs/DENOISER.md). Map options apply to the written maps; the
-    /// network's conditions are rendered as in its training
+    /// Network: network (shipped with the program), network:FILE with weights of `pskel train`, fill (no
+    /// network: holes filled), or process:COMMAND, process:unix:PATH or process:tcp:HOST:PORT
+    /// (docs/DENOISER.md). Map options apply to the written maps; the network's conditions are rendered as in
+    /// its training
     #[arg(long, value_name = "NETWORK", default_value = "network")]
     generator: NetworkName,
     /// Number of steps [default: to the end of the log]
     #[arg(long, value_name = "N", default_value_t = usize::MAX, hide_default_value = true)]
     steps: usize,
-    /// Generate every N-th frame [default: the N closest to 2 frames per second for nuScenes, 5 for other logs]
+    /// Generate every N-th frame [default: the N closest to 2 frames per second for nuScenes, 5 for other
+    /// logs]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
     every: Option<u16>,
     /// Start at the first frame at or after this time, absolute microseconds [default: the log's first frame]
     #[arg(long, value_name = "T_US", allow_negative_numbers = true)]
     start: Option<i64>,
-    /// Move the ego of a synthetic log at all frames, like forward_m=1,left_m=-2,yaw_deg=5: meters forward and to the left,
-    /// degrees to the left
+    /// Move the ego of a synthetic log at all frames, like forward_m=1,left_m=-2,yaw_deg=5: meters forward
+    /// and to the left, degrees to the left
     #[arg(long, value_name = "left_m=M,..")]
     ego_offset: Option<EgoOffset>,
-    /// Also write a copy of the data set (nuScenes) with the generated images, enlarged to the original size; all
-    /// other files are links to the original. A new or empty folder, or an earlier copy, which is replaced
+    /// Also write a copy of the data set (nuScenes) with the generated images, enlarged to the original size;
+    /// all other files are links to the original. A new or empty folder, or an earlier copy, which is
+    /// replaced
     #[arg(long, value_name = "DIR")]
     dataset: Option<PathBuf>,
     #[command(flatten)]

@@ -23,8 +23,8 @@ pub(super) struct GeneratorArgs {
     /// Strategy for advancing the window [default: reset_and_roll]
     #[arg(long, value_enum, value_name = "STRATEGY")]
     strategy: Option<StrategyName>,
-    /// Frames in the window, L; the first L - 1 frames are ground-truth images [default: the window the network was
-    /// trained with; 4 for a process]
+    /// Frames in the window, L; the first L - 1 frames are ground-truth images [default: the window the
+    /// network was trained with; 4 for a process]
     #[arg(long, value_name = "L")]
     window: Option<usize>,
     /// Inference steps, T; with rolling strategies a multiple of L - C [default: L - C]
@@ -42,8 +42,8 @@ pub(super) struct GeneratorArgs {
     /// Scale of classifier-free guidance; 1 disables it, other values evaluate the network twice [default: 1]
     #[arg(long, value_name = "S", value_parser = scale, allow_negative_numbers = true)]
     guidance: Option<f32>,
-    /// Conditions dropped in the second evaluation of the guidance: layout, text and action, or also color and depth
-    /// [default: layout]
+    /// Conditions dropped in the second evaluation of the guidance: layout, text and action, or also color
+    /// and depth [default: layout]
     #[arg(long, value_enum)]
     guide: Option<Guide>,
     /// Seed of the noise [default: 0]
@@ -52,8 +52,9 @@ pub(super) struct GeneratorArgs {
     /// With process:.., the kind of its predictions [default: flow_match]
     #[arg(long, value_enum)]
     sampler: Option<SamplerName>,
-    /// With process:.. and fill, the recipe of the conditions as JSON, in which missing fields have their defaults;
-    /// or pas-nuscenes or pas-nuplan, that of a network of the paper with the defaults of its window, steps and guidance
+    /// With process:.. and fill, the recipe of the conditions as JSON, in which missing fields have their
+    /// defaults; or pas-nuscenes or pas-nuplan, that of a network of the paper with the defaults of its
+    /// window, steps and guidance
     #[arg(long, value_name = "RECIPE")]
     recipe: Option<PathBuf>,
     /// Captions, in place of the prompt of --annotations, by name of a recording or token of an image:

@@ -167,8 +167,8 @@ fn prepare() -> anyhow::Result<()> {
     Ok(start_pool()?)
 }
 
-/// Makes a write beyond the file size limit return an error, which names the file and cleans up, instead of killing
-/// the process.
+/// Makes a write beyond the file size limit return an error, which names the file and cleans up, instead of
+/// killing the process.
 fn survive_file_limits() -> anyhow::Result<()> {
     let seen = Arc::new(AtomicBool::new(false));
     signal_hook::flag::register(signal_hook::consts::SIGXFSZ, seen).context("cannot handle SIGXFSZ")?;

@@ -21,12 +21,12 @@ pub(super) struct LogRoots {
     /// Folder of maps, if not in the data set's usual place
     #[arg(long, value_name = "DIR")]
     map_root: Option<PathBuf>,
-    /// Also read files outside the data set's folder that it names by absolute paths or by paths with "..": only for
-    /// data sets from trusted sources
+    /// Also read files outside the data set's folder that it names by absolute paths or by paths with "..":
+    /// only for data sets from trusted sources
     #[arg(long)]
     allow_outside: bool,
-    /// Missing and damaged parts of the log (files, records, boxes without a size): skip and count them, or fail with the
-    /// first
+    /// Missing and damaged parts of the log (files, records, boxes without a size): skip and count them, or
+    /// fail with the first
     #[arg(long, value_parser = choices::MISSING_DATA, default_value = "skip")]
     missing: MissingData,
     /// What the ring numbers of sweeps are. Points of other LiDARs than number 0 on moving actors are dropped

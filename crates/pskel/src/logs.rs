@@ -14,8 +14,8 @@ pub fn register_formats() {
 /// Parses a log locator: `FORMAT:PATH[@VERSION][#SCENE]`, the path alone, or `town:OPTIONS`.
 ///
 /// # Errors
-/// Fails if the text has another form, if a path without a format has files of none or of several formats, or if the town
-/// does not support an option.
+/// Fails if the text has another form, if a path without a format has files of none or of several formats, or
+/// if the town does not support an option.
 pub fn locate(text: &str) -> Result<LogLocator, DatasetError> {
     register_formats();
     text.parse()
@@ -37,8 +37,8 @@ pub fn open_by(locator: &LogLocator, opener: &LogOpener) -> Result<Log, DatasetE
     opener.open(locator).map(Log::new)
 }
 
-/// Opens a log and returns it with the name of its recording: that of the log, for towns with their options, since skeletons of
-/// two recordings of a town differ.
+/// Opens a log and returns it with the name of its recording: that of the log, for towns with their options,
+/// since skeletons of two recordings of a town differ.
 ///
 /// # Errors
 /// Fails as [`open`].

@@ -12,9 +12,9 @@ use super::{choices, numbers};
 /// Options of condition maps, shared by all commands that render a log.
 #[derive(Clone, Debug, Args)]
 pub(super) struct MapArgs {
-    /// Maps to render: color, depth, class, instance, boxes, map (the log's HD map), point (point numbers), and
-    /// tensor (network inputs; npz and safetensors only) [default: color,depth,class,instance,boxes, and map if the
-    /// log has one]
+    /// Maps to render: color, depth, class, instance, boxes, map (the log's HD map), point (point numbers),
+    /// and tensor (network inputs; npz and safetensors only) [default: color,depth,class,instance,boxes, and
+    /// map if the log has one]
     #[arg(long, value_name = "MAP,..")]
     pub(super) maps: Option<MapSet>,
     /// Files: png (depth as 16-bit bins); exr, npz or safetensors (depth in meters, -300 where empty)
@@ -26,8 +26,8 @@ pub(super) struct MapArgs {
     /// Reduce the maps to this size after rendering [default: no reduction]
     #[arg(long, value_name = "HxW")]
     pub(super) out_size: Option<ImageSize>,
-    /// Splat radius by depth: up to Z meters a point covers (2R+1) x (2R+1) pixels; points beyond the last Z are
-    /// culled
+    /// Splat radius by depth: up to Z meters a point covers (2R+1) x (2R+1) pixels; points beyond the last Z
+    /// are culled
     #[arg(long, value_name = "Z:R,..", default_value_t)]
     pub(super) splat: SplatSchedule,
     /// Use points up to this distance from the ego along x and y of the log's frame, meters
@@ -58,8 +58,8 @@ pub(super) struct MapArgs {
     /// Outlines in map
     #[arg(long, value_parser = choices::MAP_LAYERS, default_value = "lanes")]
     pub(super) map_layers: LayoutLayers,
-    /// Actors with more points than this are rendered with their own points in depth, class and instance maps; others
-    /// with the template of their category, if available
+    /// Actors with more points than this are rendered with their own points in depth, class and instance
+    /// maps; others with the template of their category, if available
     #[arg(long, value_name = "N", default_value_t = SelectionOptions::default().min_actor_points)]
     pub(super) min_actor_points: usize,
 }
@@ -80,7 +80,8 @@ impl MapArgs {
         self.maps.is_some_and(|maps| maps.contains(kind))
     }
 
-    /// Returns the maps to render of a log with or without an HD map; `None` if the HD map is requested but missing.
+    /// Returns the maps to render of a log with or without an HD map; `None` if the HD map is requested but
+    /// missing.
     pub(super) fn kinds(&self, has_map: bool) -> Option<MapSet> {
         match self.maps {
             None if has_map => Some(MapSet::default().with(MapKind::Map)),

@@ -45,7 +45,8 @@ impl FromStr for FrameRange {
     }
 }
 
-/// Parses a voxel size: 0, or a side that 21 bits can count within a chunk and that is not larger than a chunk.
+/// Parses a voxel size: 0, or a side that 21 bits can count within a chunk and that is not larger than a
+/// chunk.
 pub(super) fn voxel_m(text: &str) -> Result<f64, String> {
     finite(text).filter(|v| *v == 0.0 || (1e-4..=CHUNK_M).contains(v)).ok_or_else(|| {
         format!("expected meters, 0 (keeps all points) or at least 0.0001 and at most {CHUNK_M}")

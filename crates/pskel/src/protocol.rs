@@ -53,9 +53,10 @@ const PROTOCOL: Choices<Protocol> = Choices(&[
 
 /// Run an evaluation protocol: generate its clips and score them
 ///
-/// Writes a rollout per clip, PART/CLIP, then table.md and results.json, and for parts with a copy of the data set
-/// (nuScenes) dataset, in which the generated images of all scenes replace the recorded ones. Finished rollouts are
-/// retained and others resumed, so the same command continues an interrupted run. Logs that fail are reported at the end.
+/// Writes a rollout per clip, PART/CLIP, then table.md and results.json, and for parts with a copy of the
+/// data set (nuScenes) dataset, in which the generated images of all scenes replace the recorded ones.
+/// Finished rollouts are retained and others resumed, so the same command continues an interrupted run. Logs
+/// that fail are reported at the end.
 #[derive(Debug, Args)]
 pub(super) struct ProtocolArgs {
     /// Protocol
@@ -82,8 +83,9 @@ pub(super) struct ProtocolArgs {
     /// At most this number of clips per recording and part [default: all]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
     clips: Option<u16>,
-    /// Network: network (shipped with the program), network:FILE with weights of `pskel train`, fill (no network: holes
-    /// filled), or process:COMMAND, process:unix:PATH or process:tcp:HOST:PORT (docs/DENOISER.md)
+    /// Network: network (shipped with the program), network:FILE with weights of `pskel train`, fill (no
+    /// network: holes filled), or process:COMMAND, process:unix:PATH or process:tcp:HOST:PORT
+    /// (docs/DENOISER.md)
     #[arg(long, value_name = "NETWORK", default_value = "network")]
     generator: NetworkName,
     #[command(flatten)]
@@ -235,8 +237,8 @@ impl ProtocolArgs {
         Err(WrongUsage(message).into())
     }
 
-    /// Writes the settings, or compares them with those of an earlier run. Returns the number of the generator's reference
-    /// frames.
+    /// Writes the settings, or compares them with those of an earlier run. Returns the number of the
+    /// generator's reference frames.
     fn settle(&self, logs: &[LogLocator], opener: &LogOpener, files: &OutputFolder) -> anyhow::Result<usize> {
         let first = logs.first().context("expected a recording, found none")?;
         let log = logs::open_by(first, opener)?;

@@ -6,17 +6,18 @@ use super::WrongUsage;
 /// Rasterizer options, shared by all commands that render.
 #[derive(Clone, Debug, Args)]
 pub(super) struct RasterizerArgs {
-    /// Rasterizer: compute (Vulkan with 64-bit atomics), graphics (Vulkan graphics pipeline), cpu (threads and vectors
-    /// of the processor, needs no driver) or auto (cpu unless there is a GPU); all output the same maps
+    /// Rasterizer: compute (Vulkan with 64-bit atomics), graphics (Vulkan graphics pipeline), cpu (threads
+    /// and vectors of the processor, needs no driver) or auto (cpu unless there is a GPU); all output the
+    /// same maps
     #[arg(long, default_value_t, value_name = "KIND")]
     pub(super) rasterizer: RasterizerKind,
-    /// Vulkan device: index, UUID (GPU-..), PCI address (0000:65:00.0) or part of the name [default: $PSKEL_DEVICE,
-    /// else the fastest]
+    /// Vulkan device: index, UUID (GPU-..), PCI address (0000:65:00.0) or part of the name [default:
+    /// $PSKEL_DEVICE, else the fastest]
     #[arg(long, value_name = "DEVICE")]
     pub(super) device: Option<String>,
-    /// Device memory for points, MiB, 20 bytes per point; with less, positions are streamed from the host (compute
-    /// only). At least 64 MiB and 4 bytes per point, or all points if they need less; keys and maps need additional
-    /// memory [default: as much as needed]
+    /// Device memory for points, MiB, 20 bytes per point; with less, positions are streamed from the host
+    /// (compute only). At least 64 MiB and 4 bytes per point, or all points if they need less; keys and maps
+    /// need additional memory [default: as much as needed]
     #[arg(long, value_name = "MIB")]
     pub(super) gpu_memory: Option<u32>,
     /// Draw points that nearer ones hide too, to measure what skipping them is worth (cpu only)

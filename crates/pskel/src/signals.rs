@@ -1,8 +1,9 @@
 //! SIGHUP, SIGINT and SIGTERM end the command: temporary files are removed and peers are ended first.
 //!
-//! Files appear under their names only when they are complete, so the work can stop at any moment: a separate thread
-//! cleans up and exits while the other threads are still running. A second signal exits immediately, unless it
-//! arrives together with the first: `timeout` and job schedulers signal a process and then its group.
+//! Files appear under their names only when they are complete, so the work can stop at any moment: a separate
+//! thread cleans up and exits while the other threads are still running. A second signal exits immediately,
+//! unless it arrives together with the first: `timeout` and job schedulers signal a process and then its
+//! group.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};

@@ -8,7 +8,8 @@ use point_skeleton::skeleton::Skeleton;
 
 use super::warn;
 
-/// Opens a skeleton as [`Skeleton::open_for`], and warns if it was built from another recording of the same name.
+/// Opens a skeleton as [`Skeleton::open_for`], and warns if it was built from another recording of the same
+/// name.
 ///
 /// # Errors
 /// Fails as [`Skeleton::open_for`], or if the list of its files cannot be read.

@@ -16,19 +16,20 @@ use super::{say, tell_notes};
 
 /// Splat any point cloud into any cameras: color, depth, class and point number per pixel
 ///
-/// The nearest point wins every pixel that its square covers; among points of equal depth, the first one in the file.
-/// Writes the arrays color (u8, VxHxWx3), depth (f32, VxHxW, meters, -300 where empty), class (u8, VxHxW) and point
-/// (u32, VxHxW, row in the file + 1, 0 where empty), views in the order of the camera file.
+/// The nearest point wins every pixel that its square covers; among points of equal depth, the first one in
+/// the file. Writes the arrays color (u8, VxHxWx3), depth (f32, VxHxW, meters, -300 where empty), class (u8,
+/// VxHxW) and point (u32, VxHxW, row in the file + 1, 0 where empty), views in the order of the camera file.
 #[derive(Debug, Args)]
 pub(super) struct SplatArgs {
-    /// Points: NPY, floats Nx6 (x y z r g b, colors 0-255) or Nx7 with the class last; or PLY (colors 0-255, or 0-1 as floats)
+    /// Points: NPY, floats Nx6 (x y z r g b, colors 0-255) or Nx7 with the class last; or PLY (colors 0-255,
+    /// or 0-1 as floats)
     #[arg(long, value_name = "P.npy|P.ply")]
     points: PathBuf,
     /// Cameras: {"cameras": [{"name", "width", "height", "intrinsics": 3x3, "camera_from_world": 4x4}]}
     #[arg(long, value_name = "C.json")]
     cameras: PathBuf,
-    /// Splat radius by depth: up to Z meters a point covers (2R+1) x (2R+1) pixels; points beyond the last Z are
-    /// culled
+    /// Splat radius by depth: up to Z meters a point covers (2R+1) x (2R+1) pixels; points beyond the last Z
+    /// are culled
     #[arg(long, value_name = "Z:R,..", default_value_t)]
     splat: SplatSchedule,
     /// Archive to write

@@ -12,12 +12,13 @@ pub(super) struct SubstituteArgs {
     /// Folder of `pskel templates`, used for kinds without a template in the skeleton
     #[arg(long, value_name = "DIR")]
     templates: Option<PathBuf>,
-    /// Disable the built-in templates of sedan, suv, pickup, pedestrian and bike, which are used for kinds without
-    /// another template
+    /// Disable the built-in templates of sedan, suv, pickup, pedestrian and bike, which are used for kinds
+    /// without another template
     #[arg(long)]
     no_default_templates: bool,
-    /// Augment assets as in training: a share of them (--augment-share) is degraded, half of these thinned to 5 to 80
-    /// % of their points, half reduced to the points seen by one camera; the choice depends on the seed and the track
+    /// Augment assets as in training: a share of them (--augment-share) is degraded, half of these thinned to
+    /// 5 to 80 % of their points, half reduced to the points seen by one camera; the choice depends on the
+    /// seed and the track
     #[arg(long, value_name = "SEED", num_args = 0..=1, require_equals = true, default_missing_value = "0")]
     augment: Option<u64>,
     /// Share of the assets that --augment degrades

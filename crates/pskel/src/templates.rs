@@ -19,15 +19,17 @@ use super::progress::{Progress, StageProgress};
 use super::say;
 use crate::logs;
 
-/// Create category templates from the actors of logs: substitute clouds for actors with few points of their own
+/// Create category templates from the actors of logs: substitute clouds for actors with few points of their
+/// own
 ///
-/// Actors are clustered by category and size; the points of a kind's actors are superimposed, for vehicles also
-/// mirrored, then outliers are removed and the points are thinned. Writes templates.json (templates and their
-/// sources), templates.points, and a preview image of each template. `build --templates-from` and `render
-/// --templates` use the folder.
+/// Actors are clustered by category and size; the points of a kind's actors are superimposed, for vehicles
+/// also mirrored, then outliers are removed and the points are thinned. Writes templates.json (templates and
+/// their sources), templates.points, and a preview image of each template. `build --templates-from` and
+/// `render --templates` use the folder.
 #[derive(Debug, Args)]
 pub(super) struct TemplatesArgs {
-    /// Recordings (FORMAT:PATH[@VERSION][#SCENE]) or folders of skeletons that were built from them, which is faster
+    /// Recordings (FORMAT:PATH[@VERSION][#SCENE]) or folders of skeletons that were built from them, which is
+    /// faster
     #[arg(required = true, value_name = "LOG|SKELETON")]
     targets: Vec<Target>,
     #[command(flatten)]

@@ -8,8 +8,8 @@ use super::WrongUsage;
 const ALWAYS_ALLOWED: usize = 256;
 const PER_PROCESSOR: usize = 4;
 
-/// Rejects a number of threads that would only keep the machine busy with starting them. Several libraries read the
-/// variable, each for its own threads, so it cannot be replaced by a smaller number.
+/// Rejects a number of threads that would only keep the machine busy with starting them. Several libraries
+/// read the variable, each for its own threads, so it cannot be replaced by a smaller number.
 ///
 /// # Errors
 /// Fails if a variable requests more threads than the machine can use.

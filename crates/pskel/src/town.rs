@@ -15,9 +15,9 @@ use super::{WrongUsage, log_args, numbers, say};
 
 /// Write the synthetic town as a data set in nuScenes layout: images, LiDAR sweeps, boxes, and the HD map
 ///
-/// Everything is determined by the seed. Writes tables to v1.0-town, images and sweeps to samples and sweeps, the map
-/// to maps/expansion/town.json and maps/town.png, and the options to town.json. The same recording without files is
-/// the log town:seed=S,frames=N.
+/// Everything is determined by the seed. Writes tables to v1.0-town, images and sweeps to samples and sweeps,
+/// the map to maps/expansion/town.json and maps/town.png, and the options to town.json. The same recording
+/// without files is the log town:seed=S,frames=N.
 #[derive(Debug, Args)]
 pub(super) struct TownArgs {
     /// Seed of the town and of the recorded drive
@@ -44,8 +44,8 @@ pub(super) struct TownArgs {
     /// Daylight: day, dusk or overcast [default: chosen by the seed]
     #[arg(long, value_name = "LIGHT")]
     light: Option<Daylight>,
-    /// Also write the ground truth of every image: truth/FRAME/CAM/depth.exr (meters), class.png and instance.png,
-    /// with the numbers of that frame's maps
+    /// Also write the ground truth of every image: truth/FRAME/CAM/depth.exr (meters), class.png and
+    /// instance.png, with the numbers of that frame's maps
     #[arg(long)]
     truth: bool,
 }

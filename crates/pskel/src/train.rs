@@ -22,8 +22,8 @@ use super::{WrongUsage, logs, numbers, say};
 /// Train the small network of `pskel generate` on recorded logs and synthetic towns
 ///
 /// Records training clips first, unless DIR/drives has them: a skeleton of each log, its condition maps,
-/// ground-truth images. Everything is determined by logs, options and seed; --resume continues to identical bytes.
-/// Writes weights.safetensors, loss.csv and loss.svg.
+/// ground-truth images. Everything is determined by logs, options and seed; --resume continues to identical
+/// bytes. Writes weights.safetensors, loss.csv and loss.svg.
 #[derive(Debug, Args)]
 pub(super) struct TrainArgs {
     /// Logs with images: town:seed=101,frames=40[,..], nuscenes:.., nuplan:.. or av2:..
@@ -31,7 +31,8 @@ pub(super) struct TrainArgs {
     logs: Vec<LogLocator>,
     #[command(flatten)]
     roots: LogRoots,
-    /// How often each log is drawn from, relative to the others: as many numbers as logs [default: by their frames]
+    /// How often each log is drawn from, relative to the others: as many numbers as logs [default: by their
+    /// frames]
     #[arg(long, value_name = "W,..", value_delimiter = ',', value_parser = numbers::non_negative)]
     weights: Option<Vec<f64>>,
     /// Train without every N-th frame, for a comparison with these: frames N - 1, 2 N - 1, ..
@@ -43,13 +44,13 @@ pub(super) struct TrainArgs {
     /// Folder of training clips; missing ones are recorded [default: DIR/drives]
     #[arg(long, value_name = "DIR")]
     drives: Option<PathBuf>,
-    /// Training clips per log: one at the recorded poses, the others of synthetic logs offset by up to 3.5 m to the side and rotated by
-    /// up to 6 degrees
+    /// Training clips per log: one at the recorded poses, the others of synthetic logs offset by up to 3.5 m
+    /// to the side and rotated by up to 6 degrees
     #[arg(long, value_name = "N", default_value_t = RecordOptions::default().variants as u16,
           value_parser = clap::value_parser!(u16).range(1..=100))]
     variants: u16,
-    /// Leave the assets of the other clips unchanged; otherwise a share of them is thinned or reduced to the points
-    /// seen by one camera
+    /// Leave the assets of the other clips unchanged; otherwise a share of them is thinned or reduced to the
+    /// points seen by one camera
     #[arg(long)]
     no_augment: bool,
     /// Seed of initial weights, sampling and noise; training clips are the same for all seeds

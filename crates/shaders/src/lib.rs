@@ -1,10 +1,12 @@
-//! Compiles every shader in a package's `glsl/` to SPIR-V and generates its reflection for Rust; for build scripts.
+//! Compiles every shader in a package's `glsl/` to SPIR-V and generates its reflection for Rust; for build
+//! scripts.
 //!
 //! # How it works
-//! naga parses GLSL (`x.vert`, `x.frag`, `x.comp`) or WGSL (`x.wgsl`), validates, and emits SPIR-V for Vulkan 1.1.
-//! `shaders.rs` in `OUT_DIR` then contains one module per shader: the words, descriptor bindings, vertex inputs,
-//! the push-constant size, integer constants, and for each named struct its size and the offset of each member, which the
-//! Rust structs are asserted against. A shader error fails the build with file and line.
+//! naga parses GLSL (`x.vert`, `x.frag`, `x.comp`) or WGSL (`x.wgsl`), validates, and emits SPIR-V for Vulkan
+//! 1.1. `shaders.rs` in `OUT_DIR` then contains one module per shader: the words, descriptor bindings, vertex
+//! inputs, the push-constant size, integer constants, and for each named struct its size and the offset of
+//! each member, which the Rust structs are asserted against. A shader error fails the build with file and
+//! line.
 #![allow(clippy::print_stdout, clippy::print_stderr)] // a build script's interface to cargo
 
 use std::fmt::Write as _;
@@ -16,9 +18,9 @@ use naga::back::spv;
 use naga::valid::{Capabilities, ModuleInfo, ValidationFlags, Validator};
 use naga::{AddressSpace, Binding, Expression, Literal, Module, ScalarKind, ShaderStage, TypeInner};
 
-/// Compiles all shaders in `glsl/` of the package whose build script calls it, into `OUT_DIR/shaders.rs`. The package
-/// includes that file below a module with `point_skeleton::gpu::shader::*` in scope. Prints an error and returns a
-/// failure if a shader is invalid.
+/// Compiles all shaders in `glsl/` of the package whose build script calls it, into `OUT_DIR/shaders.rs`. The
+/// package includes that file below a module with `point_skeleton::gpu::shader::*` in scope. Prints an error
+/// and returns a failure if a shader is invalid.
 pub fn build_script() -> ExitCode {
     match compile_all() {
         Ok(()) => ExitCode::SUCCESS,
@@ -45,7 +47,8 @@ fn compile_all() -> Result<(), String> {
     std::fs::write(Path::new(&out).join("shaders.rs"), rust).map_err(|e| format!("OUT_DIR: {e}"))
 }
 
-/// A shader with values of its `override` constants; WGSL files list variants in lines `// variant NAME: A=1 B=0`.
+/// A shader with values of its `override` constants; WGSL files list variants in lines `// variant NAME: A=1
+/// B=0`.
 struct Variant {
     /// Empty for a shader without variants.
     name: String,
@@ -73,7 +76,8 @@ fn variants(path: &Path) -> Result<Vec<Variant>, String> {
     Ok(variants)
 }
 
-/// Returns the source of a shader, with each line `// include FILE` replaced by that file (relative to `glsl/`).
+/// Returns the source of a shader, with each line `// include FILE` replaced by that file (relative to
+/// `glsl/`).
 fn with_includes(path: &Path) -> Result<String, String> {
     let file = path.display();
     let source = std::fs::read_to_string(path).map_err(|e| format!("{file}: {e}"))?;
@@ -144,8 +148,8 @@ fn parse(path: &Path, file: &str, source: &str) -> Result<Module, String> {
     })
 }
 
-/// Decorates all float arithmetic with `NoContraction`: a driver that fuses a multiply with an add would round
-/// differently from the CPU reference.
+/// Decorates all float arithmetic with `NoContraction`: a driver that fuses a multiply with an add would
+/// round differently from the CPU reference.
 fn without_contraction(words: &[u32]) -> Vec<u32> {
     const HEADER: usize = 5;
     const OP_DECORATE: u32 = 71;

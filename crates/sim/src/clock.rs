@@ -24,8 +24,8 @@ impl SimOptions {
     /// Returns the rates of a simulation of a log whose format has the given default rates.
     ///
     /// # Errors
-    /// Returns an error if a rate is out of range, if the planning rate does not divide the simulation rate, or if steps
-    /// are frames of the log and the other options contradict that.
+    /// Returns an error if a rate is out of range, if the planning rate does not divide the simulation rate,
+    /// or if steps are frames of the log and the other options contradict that.
     pub fn rates(&self, defaults: Rates, log: &Recording) -> Result<Rates, SimError> {
         let Some(every) = self.every_frames else {
             let sim_hz = self.sim_hz.unwrap_or(defaults.sim_hz);

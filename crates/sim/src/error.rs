@@ -30,7 +30,8 @@ pub enum SimError {
         /// Plans per second.
         plan_hz: f64,
     },
-    /// `every_frames` is 0, given together with rates, or used with an ego or actors that do not follow the log.
+    /// `every_frames` is 0, given together with rates, or used with an ego or actors that do not follow the
+    /// log.
     #[error(
         "expected every so many-th frame to be a step of an ego and actors that follow the log, without rates, found every {every}"
     )]

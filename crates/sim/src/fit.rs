@@ -8,8 +8,8 @@ pub(super) struct Motion {
     pub(super) second: DVec3,
 }
 
-/// Evaluates a least-squares quadratic through samples (seconds relative to the evaluated time, values). It fits a line
-/// for fewer than three distinct times or if `line` is set, a constant for one time.
+/// Evaluates a least-squares quadratic through samples (seconds relative to the evaluated time, values). It
+/// fits a line for fewer than three distinct times or if `line` is set, a constant for one time.
 pub(super) fn motion(samples: &[(f64, DVec3)], line: bool) -> Motion {
     let Some((_, first)) = samples.first() else { return Motion::default() };
     // Times of order 1 keep the matrix well-conditioned.

@@ -1,16 +1,17 @@
-//! Closed-loop simulation: ego and actors move step by step, and each step is a state from which conditions are
-//! rendered.
+//! Closed-loop simulation: ego and actors move step by step, and each step is a state from which conditions
+//! are rendered.
 //!
 //! # How it works
-//! Past states are [`Committed`], predicted ones are [`Forecast`]. They are different types, and no forecast can be
-//! converted to a committed state.
+//! Past states are [`Committed`], predicted ones are [`Forecast`]. They are different types, and no forecast
+//! can be converted to a committed state.
 //!
-//! A [`Simulation`] commits the first steps from the log (the warm-up). Then, at each planning step, the ego's policy
-//! computes a plan from the committed state. Until the next plan, the ego tracks it exactly or with a kinematic
-//! bicycle, and the actors move by their own policy. Forecasts apply the same rules to a copy that is then discarded.
+//! A [`Simulation`] commits the first steps from the log (the warm-up). Then, at each planning step, the
+//! ego's policy computes a plan from the committed state. Until the next plan, the ego tracks it exactly or
+//! with a kinematic bicycle, and the actors move by their own policy. Forecasts apply the same rules to a
+//! copy that is then discarded.
 //!
-//! A step is a pure function: the same log, options and plans give the same bytes, and a rollout that was saved and
-//! resumed equals an uninterrupted one.
+//! A step is a pure function: the same log, options and plans give the same bytes, and a rollout that was
+//! saved and resumed equals an uninterrupted one.
 
 pub mod peer;
 pub mod report;

@@ -10,7 +10,8 @@ use point_skeleton::files::json;
 use point_skeleton::geometry::Polyline;
 use serde::Serialize;
 
-/// Path of points for the ego: meters in the ego frame at its [anchor](super::PathAnchor), x forward, y to the left.
+/// Path of points for the ego: meters in the ego frame at its [anchor](super::PathAnchor), x forward, y to
+/// the left.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LocalPath {
     points: Vec<[f64; 2]>,
@@ -40,12 +41,12 @@ const MAX_BYTES: u64 = 64 * MAX_POINTS as u64;
 const MAX_COORDINATE_M: f64 = 1e7;
 
 impl LocalPath {
-    /// Creates a path from points in meters, x forward and y to the left of the ego at the anchor. The path starts
-    /// at the ego, even if the points do not.
+    /// Creates a path from points in meters, x forward and y to the left of the ego at the anchor. The path
+    /// starts at the ego, even if the points do not.
     ///
     /// # Errors
-    /// Fails if there are fewer than 2 or more than 20 million points, if a point is not finite or too far away, or
-    /// if all points coincide.
+    /// Fails if there are fewer than 2 or more than 20 million points, if a point is not finite or too far
+    /// away, or if all points coincide.
     pub fn new(points: Vec<[f64; 2]>) -> Result<Self, LocalPathError> {
         let wrong = |expected: &'static str, found: String| Err(LocalPathError::Points { expected, found });
         if points.len() < 2 || points.len() > MAX_POINTS {
@@ -62,9 +63,9 @@ impl LocalPath {
         Ok(Self { points })
     }
 
-    /// Reads a path from `.json` (a list of points, or an object with such a list as `points`), `.npy` (floats of 16,
-    /// 32 or 64 bits, `[N, 2]`), or text in two columns (`.csv`, `.txt`, `.tsv`). Text columns are separated by
-    /// commas, semicolons or blanks; a header line and text from `#` on are skipped.
+    /// Reads a path from `.json` (a list of points, or an object with such a list as `points`), `.npy`
+    /// (floats of 16, 32 or 64 bits, `[N, 2]`), or text in two columns (`.csv`, `.txt`, `.tsv`). Text columns
+    /// are separated by commas, semicolons or blanks; a header line and text from `#` on are skipped.
     ///
     /// # Errors
     /// Fails if the file cannot be read or has another format. Returns any error of [`LocalPath::new`].

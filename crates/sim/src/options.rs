@@ -14,12 +14,12 @@ pub struct SimOptions {
     pub sim_hz: Option<f64>,
     /// Planning rate, hertz; must divide the simulation rate. `None` for the [`Rates`] of the log.
     pub plan_hz: Option<f64>,
-    /// Uses every n-th frame of the log from the start as a simulation and planning step, instead of fixed rates.
-    /// Requires an ego and actors that follow the log.
+    /// Uses every n-th frame of the log from the start as a simulation and planning step, instead of fixed
+    /// rates. Requires an ego and actors that follow the log.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub every_frames: Option<usize>,
-    /// Number of frames in a generative model's window that follow the log, one per plan. They cover the first
-    /// `(N - 1) * sim_hz / plan_hz` simulation steps.
+    /// Number of frames in a generative model's window that follow the log, one per plan. They cover the
+    /// first `(N - 1) * sim_hz / plan_hz` simulation steps.
     pub warmup_frames: usize,
     /// Start time, absolute microseconds; `None` for the log's first frame.
     pub start_us: Option<i64>,
@@ -93,8 +93,8 @@ pub enum PathAnchor {
     /// At the takeover: the ego drives along the path once.
     #[default]
     Takeover,
-    /// At each plan: each plan is the path from the current pose on. The reference implementation of the paper does so, but
-    /// covers the whole path in 2.2 s.
+    /// At each plan: each plan is the path from the current pose on. The reference implementation of the
+    /// paper does so, but covers the whole path in 2.2 s.
     EachPlan,
 }
 
@@ -116,10 +116,11 @@ pub enum ActorPolicy {
     /// Replays the log.
     #[default]
     Replay,
-    /// Vehicles and cycles near the ego follow their recorded paths with the Intelligent Driver Model; others replay
-    /// the log.
+    /// Vehicles and cycles near the ego follow their recorded paths with the Intelligent Driver Model; others
+    /// replay the log.
     Idm,
-    /// Vehicles, cycles and pedestrians near the ego maintain speed and curvature and brake for obstacles ahead.
+    /// Vehicles, cycles and pedestrians near the ego maintain speed and curvature and brake for obstacles
+    /// ahead.
     Reactive,
 }
 

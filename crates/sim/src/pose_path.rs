@@ -1,7 +1,7 @@
 use point_skeleton::geometry::{Polyline, Pose};
 
-/// Path of poses by arc length. Position and rotation are interpolated between poses; beyond both ends the path
-/// continues straight with the end's rotation.
+/// Path of poses by arc length. Position and rotation are interpolated between poses; beyond both ends the
+/// path continues straight with the end's rotation.
 #[derive(Clone, Debug)]
 pub(super) struct PosePath {
     line: Polyline,
@@ -10,8 +10,8 @@ pub(super) struct PosePath {
 }
 
 impl PosePath {
-    /// Creates a path through poses; `None` if there are fewer than two, two neighbors coincide in x and y, or one is
-    /// not finite.
+    /// Creates a path through poses; `None` if there are fewer than two, two neighbors coincide in x and y,
+    /// or one is not finite.
     pub(super) fn new(poses: Vec<Pose>) -> Option<Self> {
         let line = Polyline::new(poses.iter().map(|pose| pose.translation.truncate()))?;
         (line.points().len() == poses.len()).then_some(Self { line, poses })

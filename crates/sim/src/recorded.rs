@@ -11,16 +11,16 @@ use super::{EgoState, Instant, Scenario, SimActor, SimError, WHEELBASE_M};
 
 /// Half width of the window of poses from which the ego's motion is estimated, seconds.
 const EGO_WINDOW_S: f64 = 0.5;
-/// Half width of the window of boxes from which an actor's motion is estimated, seconds. It holds at least two frames
-/// of a 2 Hz log.
+/// Half width of the window of boxes from which an actor's motion is estimated, seconds. It holds at least
+/// two frames of a 2 Hz log.
 const ACTOR_WINDOW_S: f64 = 0.6;
 /// Minimum time between frames that counts as a gap, seconds.
 const GAP_S: f64 = 1.0;
 /// Minimum speed for steering angles from yaw rates, meters per second.
 const CREEP_MPS: f64 = 0.5;
 
-/// Motion of a track: speeds along and across its heading, the latter to the left, meters per second, and yaw rate to
-/// the left, radians per second.
+/// Motion of a track: speeds along and across its heading, the latter to the left, meters per second, and yaw
+/// rate to the left, radians per second.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct ActorMotion {
     pub(super) speed_mps: f64,
@@ -76,8 +76,8 @@ impl<'a> Recorded<'a> {
         Some(Instant { step, t_us, ego, actors: self.actors_at(t_us), lights: self.lights_at(t_us) })
     }
 
-    /// Returns the recorded ego state: the exact pose, and motion from a parabola fitted to the surrounding poses.
-    /// `None` outside the log.
+    /// Returns the recorded ego state: the exact pose, and motion from a parabola fitted to the surrounding
+    /// poses. `None` outside the log.
     pub(super) fn ego_at(&self, t_us: i64) -> Option<EgoState> {
         let pose = self.ego.at(t_us).filter(|_| (self.first_us..=self.last_us).contains(&t_us))?;
         let forward = pose.rotation * DVec3::X;
@@ -149,7 +149,8 @@ impl<'a> Recorded<'a> {
     }
 }
 
-/// Returns the samples within `reach_s` of a time, extended on both sides to at least `enough` samples if available.
+/// Returns the samples within `reach_s` of a time, extended on both sides to at least `enough` samples if
+/// available.
 fn window<T>(samples: &[(i64, T)], t_us: i64, reach_s: f64, enough: usize) -> &[(i64, T)] {
     let reach_us = (reach_s * 1e6) as i64;
     let mut first = samples.partition_point(|(at, _)| *at < t_us.saturating_sub(reach_us));

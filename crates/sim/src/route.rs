@@ -7,8 +7,8 @@ use super::time::seconds;
 
 /// Minimum distance between poses of a route, meters: smaller motion is the noise of a standing vehicle.
 const KNOT_STEP_M: f64 = 0.1;
-/// Search window along the route before and after the ego's last station, meters. The distance driven since is added
-/// to it.
+/// Search window along the route before and after the ego's last station, meters. The distance driven since
+/// is added to it.
 const WINDOW_M: f64 = 25.0;
 /// Distance ahead and offset of turns in driving commands, meters. Source: OpenScene.
 const COMMAND_AHEAD_M: f64 = 20.0;
@@ -23,8 +23,8 @@ pub(super) struct Route {
     way: Option<PosePath>,
 }
 
-/// Part of a route around the ego's last position. Projections are restricted to it: a route can cross itself or
-/// return beside itself, so the nearest point of the whole route may belong to a much later time.
+/// Part of a route around the ego's last position. Projections are restricted to it: a route can cross itself
+/// or return beside itself, so the nearest point of the whole route may belong to a much later time.
 #[derive(Clone, Copy)]
 pub(super) struct RouteWindow<'a> {
     route: &'a Route,
@@ -70,9 +70,9 @@ impl Route {
         self.ground(station_m).yaw_rad()
     }
 
-    /// Returns the driving command at a projection of the ego: `left` or `right` if the route, 20 m ahead or at its end,
-    /// is at least 2 m beside its direction here, else `straight`; `unknown` past its end. Source: OpenScene, which does
-    /// so with the center line of the map's route.
+    /// Returns the driving command at a projection of the ego: `left` or `right` if the route, 20 m ahead or
+    /// at its end, is at least 2 m beside its direction here, else `straight`; `unknown` past its end.
+    /// Source: OpenScene, which does so with the center line of the map's route.
     pub(super) fn command(&self, ego: Foot) -> &'static str {
         let Some(line) = self.line().filter(|line| ego.station_m < line.length_m()) else { return "unknown" };
         let from_m = ego.station_m.max(0.0);
@@ -106,8 +106,8 @@ impl RouteWindow<'_> {
         Foot { station_m: forward.dot(arm), offset_m: forward.perp_dot(arm) }
     }
 
-    /// Returns a pose at a position (global, meters) with a yaw (radians). Height and tilt are those of the recorded
-    /// ego at the nearest position of the route.
+    /// Returns a pose at a position (global, meters) with a yaw (radians). Height and tilt are those of the
+    /// recorded ego at the nearest position of the route.
     pub(super) fn pose_at(&self, place: DVec2, yaw_rad: f64) -> Pose {
         let ground = self.route.ground(self.foot(place).station_m);
         let mut pose = ground.with_yaw(yaw_rad);

@@ -16,8 +16,8 @@ pub struct Scenario<'a> {
     pub rates: Rates,
 }
 
-/// Returns the scene state for an instant of a rollout, as the input of condition rendering. All cameras share its
-/// time and the ego's pose. The name is the step in six digits.
+/// Returns the scene state for an instant of a rollout, as the input of condition rendering. All cameras
+/// share its time and the ego's pose. The name is the step in six digits.
 pub fn scene_state(log: &Recording, instant: &Instant, map: Option<Arc<SceneMap>>) -> SceneState {
     let boxes: Vec<_> = instant.actors.iter().map(SimActor::track_box).collect();
     let state = state_of(log, instant.t_us, instant.ego.pose, &boxes);

@@ -66,8 +66,8 @@ impl<'a> Simulation<'a> {
     /// restarted and receives the current step.
     ///
     /// # Errors
-    /// Returns any error of [`Simulation::new`]. Fails if the state was saved with other options or by another
-    /// version, or is damaged.
+    /// Returns any error of [`Simulation::new`]. Fails if the state was saved with other options or by
+    /// another version, or is damaged.
     pub fn resume(
         scenario: &Scenario<'a>,
         options: SimOptions,
@@ -165,7 +165,8 @@ impl<'a> Simulation<'a> {
         Ok(Some(StepOutcome { plan: made }))
     }
 
-    /// Returns the observation of the committed state, as an external planner receives it (`docs/PLANNER.md`).
+    /// Returns the observation of the committed state, as an external planner receives it
+    /// (`docs/PLANNER.md`).
     pub fn observation(&self) -> impl Serialize {
         Observation::new(&self.recorded, &self.clock, self.committed.world.get(), &self.files, &self.history)
     }
@@ -175,8 +176,8 @@ impl<'a> Simulation<'a> {
         self.recorded.log.route_at(self.clock.at(self.clock.takeover))
     }
 
-    /// Returns the direction of the recorded path within 20 m ahead of the ego (`docs/PLANNER.md`): `left`, `straight`,
-    /// `right`, or `unknown` past its end.
+    /// Returns the direction of the recorded path within 20 m ahead of the ego (`docs/PLANNER.md`): `left`,
+    /// `straight`, `right`, or `unknown` past its end.
     pub fn driving_command(&self) -> &'static str {
         self.recorded.route.command(self.committed.world.get().foot)
     }
@@ -187,8 +188,8 @@ impl<'a> Simulation<'a> {
         !self.is_done() && self.driver.needs_plan() && self.clock.plans_at(step)
     }
 
-    /// Sets the plan for the next step of an ego that follows its caller ([`EgoPolicy::Caller`]): a JSON object, the
-    /// answer of an external planner (`docs/PLANNER.md`).
+    /// Sets the plan for the next step of an ego that follows its caller ([`EgoPolicy::Caller`]): a JSON
+    /// object, the answer of an external planner (`docs/PLANNER.md`).
     ///
     /// # Errors
     /// Fails if the next step requires no plan, or if the plan is invalid. The simulation remains unchanged.
@@ -202,8 +203,9 @@ impl<'a> Simulation<'a> {
         Ok(())
     }
 
-    /// Predicts the next `plan_steps` planning steps after the committed one. The ego follows the rest of its plan
-    /// and the actors follow their policy; before the first plan the log is used. Returns fewer if the log ends.
+    /// Predicts the next `plan_steps` planning steps after the committed one. The ego follows the rest of its
+    /// plan and the actors follow their policy; before the first plan the log is used. Returns fewer if the
+    /// log ends.
     pub fn forecast(&self, plan_steps: usize) -> Vec<Forecast<Instant>> {
         let mut expected = self.committed.world.get().clone();
         let mut forecast = Vec::new();
@@ -302,8 +304,9 @@ impl<'a> Simulation<'a> {
         self.files = files;
     }
 
-    /// Adds states before a resumed one, oldest first, each with the files that show it, to the history of the next
-    /// observation. Those older than 2 s are left out, and the log's states before step 0 are added as far as needed.
+    /// Adds states before a resumed one, oldest first, each with the files that show it, to the history of
+    /// the next observation. Those older than 2 s are left out, and the log's states before step 0 are added
+    /// as far as needed.
     ///
     /// # Errors
     /// Returns any error of [`Simulation::resume`] about a state.

@@ -15,14 +15,14 @@ const MAX_ACCELERATION_MPS2: f64 = 4.0;
 const MAX_BRAKING_MPS2: f64 = 8.0;
 /// Maximum time between controller steps, seconds.
 const CONTROL_S: f64 = 0.01;
-/// Gains of longitudinal errors in position (per second squared) and speed (per second). Errors decay within about 2
-/// s, without overshoot.
+/// Gains of longitudinal errors in position (per second squared) and speed (per second). Errors decay within
+/// about 2 s, without overshoot.
 const GAINS_ALONG: [f64; 2] = [4.0, 4.0];
-/// Gains of lateral offset (per meter squared) and heading (per meter) of the rear-wheel feedback controller (Samson
-/// 1992; Paden et al. 2016, section V-B). Offsets decay over about 16 m, without overshoot.
+/// Gains of lateral offset (per meter squared) and heading (per meter) of the rear-wheel feedback controller
+/// (Samson 1992; Paden et al. 2016, section V-B). Offsets decay over about 16 m, without overshoot.
 const GAINS_ACROSS: [f64; 2] = [0.0625, 0.5];
-/// Limits of longitudinal and lateral position errors, meters: a lagging ego exceeds the planned speed by at most as
-/// many meters per second.
+/// Limits of longitudinal and lateral position errors, meters: a lagging ego exceeds the planned speed by at
+/// most as many meters per second.
 const MAX_ERRORS_M: [f64; 2] = [2.0, 3.0];
 /// Maximum commanded lateral acceleration: above it, tires slip.
 const MAX_LATERAL_MPS2: f64 = 8.0;
@@ -51,7 +51,8 @@ pub(super) fn follow(
     }
 }
 
-/// Places the ego at a waypoint; acceleration, yaw rate and steering follow from the difference to the previous step.
+/// Places the ego at a waypoint; acceleration, yaw rate and steering follow from the difference to the
+/// previous step.
 fn perfect(stretch: RouteWindow<'_>, now: &Instant, to: &Waypoint) -> EgoState {
     let dt_s = seconds(now.t_us, to.t_us);
     let yaw_rate_radps = wrap_angle(to.heading_rad - now.ego.heading_rad()) / dt_s;

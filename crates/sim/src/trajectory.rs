@@ -55,8 +55,8 @@ impl Waypoint {
 }
 
 impl Trajectory {
-    /// Creates a plan from the ego's current state and its future waypoints; drops each waypoint that is not later
-    /// than its predecessor.
+    /// Creates a plan from the ego's current state and its future waypoints; drops each waypoint that is not
+    /// later than its predecessor.
     pub(super) fn new(now: Waypoint, next: impl IntoIterator<Item = Waypoint>) -> Self {
         let mut waypoints = vec![now];
         for waypoint in next {
@@ -67,8 +67,8 @@ impl Trajectory {
         Self { waypoints }
     }
 
-    /// Returns whether the waypoints satisfy the guarantees of [`Trajectory::new`]: at least one, strictly increasing
-    /// times, finite values.
+    /// Returns whether the waypoints satisfy the guarantees of [`Trajectory::new`]: at least one, strictly
+    /// increasing times, finite values.
     pub(super) fn is_valid(&self) -> bool {
         let finite = |w: &Waypoint| [w.x_m, w.y_m, w.heading_rad, w.speed_mps].iter().all(|v| v.is_finite());
         let later = self.waypoints.windows(2).all(|w| w[0].t_us < w[1].t_us);
@@ -80,8 +80,8 @@ impl Trajectory {
         &self.waypoints
     }
 
-    /// Returns the waypoint at a time, microseconds. Beyond the last waypoint it extrapolates straight on at constant
-    /// speed; before the first it returns the first one's pose.
+    /// Returns the waypoint at a time, microseconds. Beyond the last waypoint it extrapolates straight on at
+    /// constant speed; before the first it returns the first one's pose.
     pub fn at(&self, t_us: i64) -> Waypoint {
         let next = self.waypoints.partition_point(|w| w.t_us < t_us);
         match (self.waypoints[..next].last(), self.waypoints.get(next)) {
@@ -96,8 +96,9 @@ impl Trajectory {
         }
     }
 
-    /// Returns acceleration (meters per second squared) and curvature (radians per meter) at a time (microseconds),
-    /// from the waypoints around it. Both are 0 before the first and from the last waypoint on.
+    /// Returns acceleration (meters per second squared) and curvature (radians per meter) at a time
+    /// (microseconds), from the waypoints around it. Both are 0 before the first and from the last waypoint
+    /// on.
     pub(super) fn changes_at(&self, t_us: i64) -> (f64, f64) {
         let next = self.waypoints.partition_point(|w| w.t_us <= t_us);
         let around = next.checked_sub(1).map(|i| &self.waypoints[i]).zip(self.waypoints.get(next));

@@ -86,8 +86,8 @@ impl Skin {
 }
 
 impl Mesh {
-    /// Adds a flat-shaded convex polygon, counter-clockwise seen from outside. `uv` starts at its first corner and
-    /// runs along its first edge and perpendicular to it, meters.
+    /// Adds a flat-shaded convex polygon, counter-clockwise seen from outside. `uv` starts at its first
+    /// corner and runs along its first edge and perpendicular to it, meters.
     pub fn polygon(&mut self, corners: &[DVec3], skin: Skin) {
         let [a, b, .., last] = corners else { return };
         let along = (*b - *a).normalize_or_zero();

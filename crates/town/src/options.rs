@@ -5,8 +5,8 @@ use point_skeleton::geometry::ImageSize;
 use point_skeleton::hash;
 
 /// Options of a town and of its recording. Text form:
-/// `seed=7,frames=40[,hz=5,beams=32,lidar_hz=10,size=450x800,light=day]` in any order; omitted keys take their
-/// defaults.
+/// `seed=7,frames=40[,hz=5,beams=32,lidar_hz=10,size=450x800,light=day]` in any order; omitted keys take
+/// their defaults.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TownOptions {
     /// Seed that everything is derived from.

@@ -10,9 +10,9 @@ use rayon::prelude::*;
 
 use crate::model::{BodyKind, SurfacePoint, surface, typical};
 
-/// Returns templates of sedan, SUV, pickup or van, pedestrian and bike, in the order of kinds: the evenly thinned
-/// surface of the median body. For pickups and vans this is a pickup with a lid, an outline between both. The points
-/// are always the same. Trucks, buses and the like have none, since they vary too much.
+/// Returns templates of sedan, SUV, pickup or van, pedestrian and bike, in the order of kinds: the evenly
+/// thinned surface of the median body. For pickups and vans this is a pickup with a lid, an outline between
+/// both. The points are always the same. Trucks, buses and the like have none, since they vary too much.
 pub fn templates() -> Vec<TemplateCloud> {
     TemplateKind::NAMES.par_iter().filter_map(|(_, kind)| template(*kind)).collect()
 }

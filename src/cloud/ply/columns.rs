@@ -128,8 +128,9 @@ pub(super) fn harmonic_level(value: f64) -> f64 {
     (0.5 + HARMONIC * value).clamp(0.0, 1.0) * 255.0
 }
 
-/// Returns the names of green and blue if a name is one of red: a word `red` or `r` among words joined by `_`, as in
-/// `diffuse_red`, `scalar_Red`, `red_f`, `r`. Properties of other light than diffuse are not meant.
+/// Returns the names of green and blue if a name is one of red: a word `red` or `r` among words joined by
+/// `_`, as in `diffuse_red`, `scalar_Red`, `red_f`, `r`. Properties of other light than diffuse are not
+/// meant.
 fn other_channels(name: &str) -> Option<[String; 2]> {
     let words: Vec<&str> = name.split('_').collect();
     if words.iter().any(|word| matches!(*word, "specular" | "ambient" | "emission" | "emissive")) {

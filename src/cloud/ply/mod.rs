@@ -1,9 +1,9 @@
 //! Polygon files (PLY) with a `vertex` element: written as binary little-endian, read in all three encodings.
 //!
 //! # How it works
-//! The header is parsed first. Element counts are validated against the file length before any element is read.
-//! The names of all properties decide which are colors (`columns`). Vertices are then read row by row (`payload`);
-//! properties other than position, color and class are skipped.
+//! The header is parsed first. Element counts are validated against the file length before any element is
+//! read. The names of all properties decide which are colors (`columns`). Vertices are then read row by row
+//! (`payload`); properties other than position, color and class are skipped.
 
 mod columns;
 mod payload;
@@ -43,12 +43,13 @@ pub fn write(path: &Path, points: &[Point]) -> Result<(), FileError> {
     })
 }
 
-/// Reads the element `vertex`: `x y z` float or double, optional colors and `class`. Colors are `red green blue` of 0 to
-/// 255, or of other names and ranges, which [`PointFile::notes`] says. Defaults are gray 128 and class 0.
+/// Reads the element `vertex`: `x y z` float or double, optional colors and `class`. Colors are `red green
+/// blue` of 0 to 255, or of other names and ranges, which [`PointFile::notes`] says. Defaults are gray 128
+/// and class 0.
 ///
 /// # Errors
-/// Fails if the file cannot be read, has no vertices or missing data, or its coordinates have another type. Fails if
-/// a color is out of range or a class is not an integer of 0–255.
+/// Fails if the file cannot be read, has no vertices or missing data, or its coordinates have another type.
+/// Fails if a color is out of range or a class is not an integer of 0–255.
 pub fn read(path: &Path) -> Result<PointFile, FileError> {
     let (file, file_bytes) = open_regular(path)?;
     decode(BufReader::with_capacity(1 << 20, file), file_bytes, path)
@@ -99,8 +100,8 @@ fn other_content(head: &[u8]) -> Option<String> {
     }
 }
 
-/// Returns a message of the header's parser in one sentence. It has a line number, a reason, then on lines of their own the
-/// line of the file and the parser's own data.
+/// Returns a message of the header's parser in one sentence. It has a line number, a reason, then on lines of
+/// their own the line of the file and the parser's own data.
 fn in_words(message: &str) -> String {
     let lines: Vec<&str> = message.lines().map(str::trim).collect();
     let number = message.strip_prefix("Line ").and_then(|rest| rest.split(':').next());

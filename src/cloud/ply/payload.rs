@@ -1,5 +1,5 @@
-//! Rows of `vertex` in the three encodings. Files have rows that the parser of the library refuses (`nan` in text), and
-//! the meaning of a property depends on all others, so only the header is left to the library.
+//! Rows of `vertex` in the three encodings. Files have rows that the parser of the library refuses (`nan` in
+//! text), and the meaning of a property depends on all others, so only the header is left to the library.
 
 use std::io::BufRead;
 use std::path::Path;
@@ -36,7 +36,8 @@ struct Place<'a> {
 #[derive(Clone, Copy)]
 struct Value {
     number: f64,
-    /// Bits of a packed color: those of a number of 4 bytes. A double holds such a float or a whole number, and so does text.
+    /// Bits of a packed color: those of a number of 4 bytes. A double holds such a float or a whole number,
+    /// and so does text.
     bits: u32,
 }
 
@@ -202,8 +203,8 @@ fn type_name(scalar: &ScalarType) -> &'static str {
     }
 }
 
-/// Parses a number of a type; `None` for other text. Integers may be written as floats and may be missing (NaN), as
-/// some programs write all columns alike.
+/// Parses a number of a type; `None` for other text. Integers may be written as floats and may be missing
+/// (NaN), as some programs write all columns alike.
 fn parse(text: &str, scalar: &ScalarType) -> Option<Value> {
     if let Some(number) = not_finite(text) {
         return Some(Value { number, bits: (number as f32).to_bits() });

@@ -7,8 +7,8 @@ const MARGIN_PX: f64 = 8.0;
 /// Corners farther away are treated as invalid, pixels.
 const FARTHEST_PX: f64 = 1e12;
 
-/// Clips a ring to the image plus a margin (Sutherland and Hodgman 1974). The margin hides the edges that clipping
-/// adds. Returns an empty ring if a coordinate is invalid.
+/// Clips a ring to the image plus a margin (Sutherland and Hodgman 1974). The margin hides the edges that
+/// clipping adds. Returns an empty ring if a coordinate is invalid.
 pub(super) fn clipped(ring: &[DVec2], side: f64) -> Vec<DVec2> {
     if !ring.iter().all(|corner| corner.abs().max_element() < FARTHEST_PX) {
         return Vec::new();

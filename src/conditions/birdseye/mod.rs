@@ -1,10 +1,10 @@
 //! `FRAME/birdseye.png`: bird's-eye view (BEV) of a step, with the ego at the center, facing up.
 //!
 //! # How it works
-//! All geometry is transformed into the ego frame in `f64`, then into pixels, and drawn antialiased by tiny-skia on
-//! one thread. The layers are: the HD map if the state has one, the camera wedges, traces, the boxes, the ego as an
-//! arrow, and a scale bar. Boxes have the class colors of the contact sheet and a line from center to front. Geometry
-//! outside the image is clipped.
+//! All geometry is transformed into the ego frame in `f64`, then into pixels, and drawn antialiased by
+//! tiny-skia on one thread. The layers are: the HD map if the state has one, the camera wedges, traces, the
+//! boxes, the ego as an arrow, and a scale bar. Boxes have the class colors of the contact sheet and a line
+//! from center to front. Geometry outside the image is clipped.
 
 mod clip;
 
@@ -186,7 +186,8 @@ impl Picture {
         self.shape(&rings, fill, edge.map(|rgba| (rgba, 1.2)));
     }
 
-    /// Draws rings in pixel coordinates: fills them by the even-odd rule, then strokes outlines of a width in pixels.
+    /// Draws rings in pixel coordinates: fills them by the even-odd rule, then strokes outlines of a width in
+    /// pixels.
     fn shape(&mut self, rings: &[Vec<DVec2>], fill: Option<Rgba>, edge: Option<(Rgba, f32)>) {
         let side = 2.0 * self.center_px;
         let rings: Vec<Vec<DVec2>> = rings.iter().map(|ring| clipped(ring, side)).collect();
@@ -283,8 +284,8 @@ mod tests {
     use crate::geometry::{Cuboid, Pose};
     use crate::scene::SceneMap;
 
-    /// Scene at 8 px/m, all rotated about the ego by `yaw_rad`: a drivable square of 60 m around the ego with a hole
-    /// of 10 m that starts 10 m ahead, and a car 20 m to the left.
+    /// Scene at 8 px/m, all rotated about the ego by `yaw_rad`: a drivable square of 60 m around the ego with
+    /// a hole of 10 m that starts 10 m ahead, and a car 20 m to the left.
     fn state(yaw_rad: f64) -> SceneState {
         let ego = Pose::from_yaw(yaw_rad, DVec3::new(600_000.0, 4_000_000.0, 3.0));
         let global = |x: f64, y: f64| ego.transform_point(DVec3::new(x, y, 0.0)).truncate();

@@ -7,8 +7,8 @@ use crate::scene::ActorState;
 /// Maximum depth of box edges, meters.
 pub(crate) const BOXES_FAR_M: f64 = 512.0;
 
-/// Pairs of indices into [`Cuboid::corners`]: 12 edges, then the diagonals of the front and the left face from the
-/// lower front-left corner. Bit 0 of an index is front, bit 1 left, bit 2 up.
+/// Pairs of indices into [`Cuboid::corners`]: 12 edges, then the diagonals of the front and the left face
+/// from the lower front-left corner. Bit 0 of an index is front, bit 1 left, bit 2 up.
 const BOX_LINES: [[usize; 2]; 14] = [
     [0, 1],
     [2, 3],

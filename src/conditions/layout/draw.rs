@@ -23,8 +23,8 @@ enum Shown<'a> {
     Map(&'a SceneMap),
 }
 
-/// Draws the layouts of actors and map at render size ([`ConditionOptions::drawn_view`]) and reduces them to the
-/// written size with Pillow's BILINEAR filter.
+/// Draws the layouts of actors and map at render size ([`ConditionOptions::drawn_view`]) and reduces them to
+/// the written size with Pillow's BILINEAR filter.
 pub(crate) fn draw(
     actors: Option<&[ActorState]>,
     map: Option<&SceneMap>,

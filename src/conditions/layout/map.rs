@@ -20,7 +20,8 @@ pub fn map_rgb(layer: MapLayer) -> [u8; 3] {
     }
 }
 
-/// Returns the segments of the map's outlines in drawing order, with their widths relative to that of wide lines.
+/// Returns the segments of the map's outlines in drawing order, with their widths relative to that of wide
+/// lines.
 pub(crate) fn map_segments(map: &SceneMap, layers: LayoutLayers, view: &View) -> Vec<(Segment, f32)> {
     let [min, max] = window(view);
     let camera = |p: DVec3| view.camera_from_world.transform_point3(p);
@@ -32,8 +33,8 @@ pub(crate) fn map_segments(map: &SceneMap, layers: LayoutLayers, view: &View) ->
     map.edges_within(min, max).into_iter().filter_map(line).collect()
 }
 
-/// Returns a rectangle in global x and y that bounds everything [`segment`] can return: the bounds of the corners of
-/// the view's frustum, or the whole plane if the view has no finite frustum.
+/// Returns a rectangle in global x and y that bounds everything [`segment`] can return: the bounds of the
+/// corners of the view's frustum, or the whole plane if the view has no finite frustum.
 fn window(view: &View) -> [DVec2; 2] {
     let world_from_camera = view.camera_from_world.inverse();
     let camera_from_image = view.camera.intrinsics.inverse();
@@ -84,7 +85,8 @@ mod tests {
 
     #[test]
     fn outlines_end_at_both_clip_depths() {
-        // One edge straight ahead, 1 m to the left, from behind the camera to beyond 65 m; the others are behind it.
+        // One edge straight ahead, 1 m to the left, from behind the camera to beyond 65 m; the others are
+        // behind it.
         let map = crossing(&[[-50.0, 1.0], [200.0, 1.0], [-50.0, 1.0]], DVec3::ZERO);
         let segments = wide(&scene_map(map, DVec3::ZERO), &view());
         // The edge is drawn in both directions; the edge from a point to itself is not drawn.

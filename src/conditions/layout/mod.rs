@@ -1,9 +1,10 @@
 //! Layout images: outlines of the actors' boxes (`boxes`) and of the HD map (`map`).
 //!
 //! # How it works
-//! Edges are clipped in camera space in `f64`, projected, and clipped to a rectangle that exceeds the image by more
-//! than the line width, so that the butt ends of clipped lines lie outside it. The result fits `f32` without visible
-//! loss. It is drawn by `raster::LineRows` and reduced row by row, so no full-size image is allocated.
+//! Edges are clipped in camera space in `f64`, projected, and clipped to a rectangle that exceeds the image
+//! by more than the line width, so that the butt ends of clipped lines lie outside it. The result fits `f32`
+//! without visible loss. It is drawn by `raster::LineRows` and reduced row by row, so no full-size image is
+//! allocated.
 
 mod boxes;
 mod draw;
@@ -29,7 +30,8 @@ pub const NEAR_M: f64 = 0.05;
 /// Distance by which the clip rectangle exceeds the image, pixels.
 const MARGIN_PX: f64 = 2.0 * LINE_WIDTH_PX as f64;
 
-/// Clips and projects a line between two points in camera coordinates (meters); `None` if no part of it is visible.
+/// Clips and projects a line between two points in camera coordinates (meters); `None` if no part of it is
+/// visible.
 pub fn segment(from: DVec3, to: DVec3, depths_m: [f64; 2], rgb: [u8; 3], view: &View) -> Option<Segment> {
     let (from, to) = clip_depth(from, to, depths_m)?;
     let project = |p: DVec3| {

@@ -16,7 +16,8 @@ pub struct LayoutStyle {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum LineWidth {
-    /// 8 pixels at the camera's own size, scaled with the width at which the layout is drawn; from 1 to 16 pixels.
+    /// 8 pixels at the camera's own size, scaled with the width at which the layout is drawn; from 1 to 16
+    /// pixels.
     Scaled,
     /// 8 pixels at the size at which the layout is drawn.
     Fixed,
@@ -39,7 +40,8 @@ impl Default for LayoutStyle {
 }
 
 impl LayoutStyle {
-    /// Returns the width of wide lines, pixels, in a layout that is drawn at this scale of the camera's own size.
+    /// Returns the width of wide lines, pixels, in a layout that is drawn at this scale of the camera's own
+    /// size.
     pub(super) fn width_px(self, scale: f32) -> f32 {
         match self.line_width {
             LineWidth::Fixed => LINE_WIDTH_PX,

@@ -1,9 +1,9 @@
 //! `calibration/`: intrinsics and extrinsics of the ring cameras.
 //!
-//! The published images are undistorted: `k1 k2 k3` in the file describe the original lenses. The dataset's own API
-//! projects with focal lengths and principal point only, so cameras are pinholes here unless asked otherwise. Source:
-//! <https://argoverse.github.io/user-guide/datasets/sensor.html> ("Sensor suite") and issues 219 and 226 of
-//! <https://github.com/argoverse/av2-api>.
+//! The published images are undistorted: `k1 k2 k3` in the file describe the original lenses. The dataset's
+//! own API projects with focal lengths and principal point only, so cameras are pinholes here unless asked
+//! otherwise. Source: <https://argoverse.github.io/user-guide/datasets/sensor.html> ("Sensor suite") and
+//! issues 219 and 226 of <https://github.com/argoverse/av2-api>.
 
 use std::path::Path;
 
@@ -29,8 +29,8 @@ pub(super) const RING: [&str; 7] = [
 /// Kind of a gap: a ring camera without a row in one of the files.
 const NO_CALIBRATION: &str = "ring cameras without calibration";
 
-/// Reads the ring cameras that both files contain, in ring order, and counts the others. `channel` is the index in this
-/// list.
+/// Reads the ring cameras that both files contain, in ring order, and counts the others. `channel` is the
+/// index in this list.
 ///
 /// # Errors
 /// Fails if a file is damaged, or a camera is invalid or occurs twice.

@@ -40,7 +40,8 @@ const CATEGORIES: [&str; 30] = [
 ];
 
 /// Returns the dotted name of a category: group, kind, and the dataset's own name in lower case, like
-/// `vehicle.car.regular_vehicle`, in any case. Words of other data sets stay as they are. `None` for unknown words.
+/// `vehicle.car.regular_vehicle`, in any case. Words of other data sets stay as they are. `None` for unknown
+/// words.
 ///
 /// Kinds follow `CategoryKind`, except that riders are pedestrians: they have boxes separate from their
 /// cycles.

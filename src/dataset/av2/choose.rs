@@ -9,8 +9,8 @@ use crate::files::input::is_taken;
 /// Returns the logs that a locator refers to, sorted by name: the folder itself, or the logs in it.
 ///
 /// # Errors
-/// Fails if the folder cannot be read or has no logs, `#LOG_ID` is unknown, or an `@VERSION` is given, since logs
-/// have none.
+/// Fails if the folder cannot be read or has no logs, `#LOG_ID` is unknown, or an `@VERSION` is given, since
+/// logs have none.
 pub(super) fn expand(locator: &LogLocator) -> Result<Vec<LogLocator>, DatasetError> {
     let path = &locator.path;
     if let Some(version) = &locator.version {
@@ -59,15 +59,16 @@ pub(super) fn log_name(path: &Path) -> String {
     resolved.file_name().map_or_else(String::new, |name| name.to_string_lossy().into_owned())
 }
 
-/// Returns the folder of a part of the log (`sensors`, `map`). It is below the log by default. With a given `ROOT`,
-/// it is `ROOT/LOG_ID/PART` if that exists, else `ROOT`.
+/// Returns the folder of a part of the log (`sensors`, `map`). It is below the log by default. With a given
+/// `ROOT`, it is `ROOT/LOG_ID/PART` if that exists, else `ROOT`.
 pub(super) fn part(log: &Path, root: Option<&Path>, part: &str) -> PathBuf {
     let Some(root) = root else { return log.join(part) };
     let own = root.join(log_name(log)).join(part);
     if own.is_dir() { own } else { root.to_owned() }
 }
 
-/// Returns whether a folder has either file of a log. Only one is required, so that the other is reported as missing.
+/// Returns whether a folder has either file of a log. Only one is required, so that the other is reported as
+/// missing.
 fn is_log(path: &Path) -> bool {
     ["annotations.feather", "city_SE3_egovehicle.feather"].iter().any(|file| is_taken(&path.join(file)))
 }

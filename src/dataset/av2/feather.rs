@@ -1,10 +1,11 @@
 //! Feather files (version 2, the Arrow IPC file format): tables with named columns.
 //!
 //! # How it works
-//! The footer at the end of a file lists the columns and the offsets of the row batches. The `arrow-ipc` crate
-//! decodes batches, but trusts their declared offsets and sizes: a wrong offset would panic, and a wrong size would
-//! exhaust memory. So the whole file is loaded, and every offset and size is validated against it before a batch is
-//! decoded. Format: <https://arrow.apache.org/docs/format/Columnar.html#ipc-file-format>.
+//! The footer at the end of a file lists the columns and the offsets of the row batches. The `arrow-ipc`
+//! crate decodes batches, but trusts their declared offsets and sizes: a wrong offset would panic, and a
+//! wrong size would exhaust memory. So the whole file is loaded, and every offset and size is validated
+//! against it before a batch is decoded. Format:
+//! <https://arrow.apache.org/docs/format/Columnar.html#ipc-file-format>.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -29,7 +30,8 @@ const TAIL_BYTES: usize = 10;
 /// Bytes before a message: a marker and the message length.
 const PREFIX_BYTES: usize = 8;
 
-/// Maximum declared bytes of all columns per byte of the file: LZ4 and zstd shrink numbers by a small factor only.
+/// Maximum declared bytes of all columns per byte of the file: LZ4 and zstd shrink numbers by a small factor
+/// only.
 const MOST_PER_BYTE: u64 = 64;
 /// Lower bound of this limit, for small files, bytes.
 const MOST_BYTES: u64 = 16 << 20;
@@ -95,7 +97,8 @@ impl Table {
     }
 }
 
-/// Returns the number of rows that a file declares, after checking that it has the given columns. Decodes no column.
+/// Returns the number of rows that a file declares, after checking that it has the given columns. Decodes no
+/// column.
 ///
 /// # Errors
 /// Fails as [`Table::read`], except for damage within columns.
@@ -182,7 +185,8 @@ fn span(block: &Block) -> (usize, usize) {
     (block.offset() as usize, block.metaDataLength() as usize + block.bodyLength() as usize)
 }
 
-/// Validates the declared sizes of a batch against its bytes. Returns its number of rows and of decompressed bytes.
+/// Validates the declared sizes of a batch against its bytes. Returns its number of rows and of decompressed
+/// bytes.
 fn check_block(block: &Block, schema: &Schema, bytes: &[u8]) -> Result<(u64, u64), String> {
     let outside = || {
         let (offset, header, body) = (block.offset(), block.metaDataLength(), block.bodyLength());

@@ -1,7 +1,7 @@
 //! `map/log_map_archive_*.json`: vector map of a log's surroundings, in the city frame.
 //!
-//! Format: <https://argoverse.github.io/user-guide/api/hd_maps.html>. Lanes of all kinds (vehicles, bikes, buses) are
-//! read. Dividers are the painted lane boundaries.
+//! Format: <https://argoverse.github.io/user-guide/api/hd_maps.html>. Lanes of all kinds (vehicles, bikes,
+//! buses) are read. Dividers are the painted lane boundaries.
 
 use std::path::{Path, PathBuf};
 
@@ -23,7 +23,8 @@ const MAX_STEPS: f64 = 2000.0;
 
 const NAME_START: &str = "log_map_archive_";
 
-/// Returns the map files in a folder, sorted by name; empty if the folder does not exist. One file is expected.
+/// Returns the map files in a folder, sorted by name; empty if the folder does not exist. One file is
+/// expected.
 ///
 /// # Errors
 /// Fails if the folder cannot be read.
@@ -51,7 +52,8 @@ pub(super) fn city(map: Option<&Path>) -> String {
     city.map_or_else(String::new, |(city, _)| city.to_owned())
 }
 
-/// Reads a map. Records without an area or a length, those that cannot be read, and missing layers of areas are counted.
+/// Reads a map. Records without an area or a length, those that cannot be read, and missing layers of areas
+/// are counted.
 ///
 /// # Errors
 /// Fails if the file cannot be read or has no lanes, or if no record of a layer can be read.
@@ -142,7 +144,8 @@ impl Archive {
 }
 
 impl LaneSegment {
-    /// Converts the lane. Appends painted boundaries to `dividers`, unless the adjacent lane has already added them.
+    /// Converts the lane. Appends painted boundaries to `dividers`, unless the adjacent lane has already
+    /// added them.
     fn lane(
         &self,
         dividers: &mut Vec<Vec<DVec2>>,
@@ -186,8 +189,8 @@ fn area(mut corners: Vec<DVec2>) -> Result<Area, Fault> {
     Ok(Area { exterior: degenerate::ring(corners)?, holes: Vec::new() })
 }
 
-/// Returns the outline between two edges of either direction. The sides of a convex quadrilateral are shorter in sum
-/// than its diagonals, so joining the edges the shorter way avoids self-intersection.
+/// Returns the outline between two edges of either direction. The sides of a convex quadrilateral are shorter
+/// in sum than its diagonals, so joining the edges the shorter way avoids self-intersection.
 fn between(edge1: &[DVec2], mut edge2: Vec<DVec2>) -> Vec<DVec2> {
     if let (Some((a, b)), Some((c, d))) = (ends(edge1), ends(&edge2))
         && b.distance(d) + c.distance(a) < b.distance(c) + d.distance(a)

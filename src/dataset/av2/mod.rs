@@ -1,10 +1,10 @@
-//! Argoverse 2 sensor logs: one folder per log with Feather files (boxes, poses, calibration, sweeps), images, and a
-//! JSON map.
+//! Argoverse 2 sensor logs: one folder per log with Feather files (boxes, poses, calibration, sweeps),
+//! images, and a JSON map.
 //!
 //! # How it works
-//! `feather` and `column` read tables, and `read` combines those of a log. `sweep` and `map` read their files on
-//! demand. A frame is an annotated time; its sweep is the file with the same time, its images are the nearest in
-//! time. Times are nanoseconds in files and whole microseconds in a [`Recording`]. Format:
+//! `feather` and `column` read tables, and `read` combines those of a log. `sweep` and `map` read their files
+//! on demand. A frame is an annotated time; its sweep is the file with the same time, its images are the
+//! nearest in time. Times are nanoseconds in files and whole microseconds in a [`Recording`]. Format:
 //! <https://argoverse.github.io/user-guide/datasets/sensor.html>.
 
 mod annotations;
@@ -44,11 +44,12 @@ pub struct Argoverse {
 }
 
 impl Argoverse {
-    /// Reads the tables of a log: the folder itself, or the log `#LOG_ID` in it. Opens no sweeps, images or maps.
+    /// Reads the tables of a log: the folder itself, or the log `#LOG_ID` in it. Opens no sweeps, images or
+    /// maps.
     ///
     /// # Errors
-    /// Fails if the folder is not a log, or contains several and none is selected. Fails if tables are missing or
-    /// damaged, poses, cameras or boxes are invalid, or times do not increase.
+    /// Fails if the folder is not a log, or contains several and none is selected. Fails if tables are
+    /// missing or damaged, poses, cameras or boxes are invalid, or times do not increase.
     pub fn open(locator: &LogLocator) -> Result<Self, DatasetError> {
         check_roots(locator)?;
         let chosen = choose::choose(locator)?;
@@ -64,7 +65,8 @@ impl Argoverse {
     }
 }
 
-/// Returns the logs that a locator refers to, sorted by name: the folder itself, the logs in it, or `#LOG_ID`.
+/// Returns the logs that a locator refers to, sorted by name: the folder itself, the logs in it, or
+/// `#LOG_ID`.
 ///
 /// # Errors
 /// Fails if the folder cannot be read or has no logs, `#LOG_ID` is unknown, or an `@VERSION` is given.

@@ -16,8 +16,8 @@ use crate::files::input::is_there;
 /// Kind of a gap: an annotated time outside of the recorded poses.
 const NO_POSE: &str = "annotated times without an ego pose";
 
-/// Reads a log with its sweeps and images in `sensors`. Also returns the stated number of LiDAR points per frame and
-/// box.
+/// Reads a log with its sweeps and images in `sensors`. Also returns the stated number of LiDAR points per
+/// frame and box.
 pub(super) fn read(
     folder: &Path,
     sensors: &Path,

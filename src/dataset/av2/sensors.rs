@@ -14,8 +14,8 @@ use crate::geometry::Pose;
 /// Maximum time difference between a frame and its image, nanoseconds. Ring cameras run at 20 Hz.
 const IMAGE_TOLERANCE_NS: u64 = 50_000_000;
 
-/// Maximum time difference between a frame and its own sweep, nanoseconds: more than rounding by 64-bit floats, and less
-/// than the time in which points of the ego or of actors move by a voxel.
+/// Maximum time difference between a frame and its own sweep, nanoseconds: more than rounding by 64-bit
+/// floats, and less than the time in which points of the ego or of actors move by a voxel.
 const SWEEP_TOLERANCE_NS: u64 = 1_000_000;
 
 /// Kind of a gap: a time without an ego pose, from which a sweep or an image is.
@@ -55,8 +55,9 @@ pub(super) fn times_ns(folder: &Path) -> Result<Vec<i64>, FileError> {
     Ok(list(folder, &["feather"], &mut Notes::new())?.iter().map(|file| file.t_ns).collect())
 }
 
-/// Assigns sweeps to frames: the nearest within [`SWEEP_TOLERANCE_NS`] is a frame's own. The others belong to the first
-/// frame at or after their time. The own sweep that is missing is a missing file, since its name is known.
+/// Assigns sweeps to frames: the nearest within [`SWEEP_TOLERANCE_NS`] is a frame's own. The others belong to
+/// the first frame at or after their time. The own sweep that is missing is a missing file, since its name is
+/// known.
 ///
 /// # Errors
 /// Fails if the folder cannot be read.
@@ -97,7 +98,8 @@ pub(super) fn add_sweeps(
     Ok(())
 }
 
-/// Returns for each frame the index of its own sweep: of those that are nearer to it than to other frames, the nearest.
+/// Returns for each frame the index of its own sweep: of those that are nearer to it than to other frames,
+/// the nearest.
 fn own_sweeps(files: &[Timed], times_ns: &[i64]) -> Vec<Option<usize>> {
     let mut own: Vec<Option<usize>> = vec![None; times_ns.len()];
     for (i, file) in files.iter().enumerate() {
@@ -137,7 +139,8 @@ pub(super) fn add_images(
         let record = ImageRecord { token, channel, path, t_us, global_from_ego, ego_from_camera, camera };
         records.push((t_ns, record));
     }
-    // The names of images are not known, but that of their folder is. A log without any such folder has no images.
+    // The names of images are not known, but that of their folder is. A log without any such folder has no
+    // images.
     let has_folder = folder.is_dir() || !folder.parent().is_some_and(Path::is_dir);
     let missing = |t_us: i64| match has_folder {
         true => Gap::record(NO_IMAGE, format!("frame at {t_us}"), &folder),

@@ -27,8 +27,8 @@ struct TrackRow {
     track: Option<Track>,
 }
 
-/// Reads the boxes of the frames. Counts boxes without a size, and those that refer to frames, tracks or categories that are
-/// missing from the log.
+/// Reads the boxes of the frames. Counts boxes without a size, and those that refer to frames, tracks or
+/// categories that are missing from the log.
 pub(super) fn read(
     database: &Database,
     shots: &[FrameRecord],

@@ -6,7 +6,8 @@ use crate::dataset::clock::{Offset, PoseTimes, Unit};
 use crate::dataset::notes::Notes;
 use crate::error::FileError;
 
-/// Counts the poses that are not from the time of their sweep or image. The tables link them, so they are used nevertheless.
+/// Counts the poses that are not from the time of their sweep or image. The tables link them, so they are
+/// used nevertheless.
 pub(super) fn note_pose_times(database: &Database, notes: &mut Notes) -> Result<(), DatasetError> {
     if !database.has_column("ego_pose", "timestamp")? {
         return Ok(());
@@ -37,8 +38,8 @@ pub(super) fn note_pose_times(database: &Database, notes: &mut Notes) -> Result<
     Ok(())
 }
 
-/// Checks sweeps, given as their first and last time, that differ from some images: if only the images have the clock of the
-/// ego poses, then the sweeps are wrong.
+/// Checks sweeps, given as their first and last time, that differ from some images: if only the images have
+/// the clock of the ego poses, then the sweeps are wrong.
 ///
 /// # Errors
 /// Fails with the offset of the sweeps if they are wrong.

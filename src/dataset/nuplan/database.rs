@@ -1,7 +1,7 @@
 //! SQLite files, read row by row with type-checked values.
 //!
-//! A damaged file may define endless views, or reference a page many times. So the number of SQLite instructions and
-//! the bytes of rows are both limited in proportion to the file length.
+//! A damaged file may define endless views, or reference a page many times. So the number of SQLite
+//! instructions and the bytes of rows are both limited in proportion to the file length.
 
 use std::cell::Cell;
 use std::fmt::Write;
@@ -109,7 +109,8 @@ impl Database {
     /// Passes every row to `each`, in the query's order.
     ///
     /// # Errors
-    /// Fails if a table or column is missing, pages are damaged, or a limit is exceeded. Returns any error of `each`.
+    /// Fails if a table or column is missing, pages are damaged, or a limit is exceeded. Returns any error of
+    /// `each`.
     pub(super) fn rows(
         &self,
         query: &Query<'_>,
@@ -146,8 +147,8 @@ impl Database {
         Ok(count.map_err(wrong)? > 0)
     }
 
-    /// Subtracts a row's size from the budget: one byte, plus the lengths of texts and blobs. Numbers count as 0, the
-    /// minimum that SQLite needs for them.
+    /// Subtracts a row's size from the budget: one byte, plus the lengths of texts and blobs. Numbers count
+    /// as 0, the minimum that SQLite needs for them.
     fn count_bytes(&self, row: &rusqlite::Row<'_>, query: &Query<'_>) -> Result<(), FileError> {
         let size = |column: usize| match row.get_ref(column) {
             Ok(ValueRef::Text(bytes) | ValueRef::Blob(bytes)) => bytes.len() as u64,
@@ -182,7 +183,8 @@ fn declared_bytes(head: &[u8]) -> Option<u64> {
     Some(page * u64::from(pages))
 }
 
-/// Aborts statements once all of them together exceed the instruction limit. No valid file of this length reaches it.
+/// Aborts statements once all of them together exceed the instruction limit. No valid file of this length
+/// reaches it.
 fn limit_steps(connection: &mut Connection, length: u64) -> rusqlite::Result<()> {
     let most = STEPS + length.saturating_mul(STEPS_PER_BYTE);
     let mut left = most / u64::from(STEPS_COUNTED);
@@ -286,8 +288,8 @@ impl<'a> Row<'a> {
         text.ok_or_else(|| self.wrong(column, "text", &shown(self.value(column))))
     }
 
-    /// Returns a whole number of any storage type: maps store identifiers as integers, as floats and as text. `None`
-    /// if empty.
+    /// Returns a whole number of any storage type: maps store identifiers as integers, as floats and as text.
+    /// `None` if empty.
     pub(super) fn identifier(&self, column: usize) -> Result<Option<i64>, DatasetError> {
         let number = match self.value(column) {
             ValueRef::Null => return Ok(None),
@@ -307,7 +309,8 @@ impl<'a> Row<'a> {
     }
 }
 
-/// Rejects a non-empty write-ahead log. Its rows are not in the file yet, and merging them would modify the file.
+/// Rejects a non-empty write-ahead log. Its rows are not in the file yet, and merging them would modify the
+/// file.
 fn refuse_journal(path: &Path) -> Result<(), FileError> {
     let mut journal = path.as_os_str().to_owned();
     journal.push("-wal");

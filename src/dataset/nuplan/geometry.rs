@@ -20,12 +20,12 @@ pub(super) enum Shape {
 /// Required coordinate system of the header: WGS 84.
 const SRS_ID: i32 = 4326;
 
-/// Decodes a geometry and projects it to a UTM zone. `None` if nothing is left: empty parts are skipped, and those
-/// without an area or a length are skipped and passed to `faults`.
+/// Decodes a geometry and projects it to a UTM zone. `None` if nothing is left: empty parts are skipped, and
+/// those without an area or a length are skipped and passed to `faults`.
 ///
 /// # Errors
-/// Returns a description of the content if it is not lines or polygons, bytes are truncated, or coordinates are not
-/// longitude and latitude.
+/// Returns a description of the content if it is not lines or polygons, bytes are truncated, or coordinates
+/// are not longitude and latitude.
 pub(super) fn decode(
     bytes: &[u8],
     utm: &Utm,

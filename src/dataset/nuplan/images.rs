@@ -17,8 +17,8 @@ use crate::error::FileError;
 use crate::files::first_twice;
 use crate::geometry::{Camera, Distortion, Pose};
 
-/// Maximum time difference between a frame and its image, microseconds: half the image interval, plus half of that
-/// for uneven clocks.
+/// Maximum time difference between a frame and its image, microseconds: half the image interval, plus half of
+/// that for uneven clocks.
 const TOLERANCE_US: u64 = 75_000;
 
 /// The eight cameras in ring order, each next to its neighbors.
@@ -175,8 +175,8 @@ fn coefficients(row: &Row<'_>) -> Result<[f64; 5], DatasetError> {
     Distortion::first_five(&all).ok_or_else(|| row.wrong(5, EXPECTED, &format!("{all:?}")))
 }
 
-/// Reads the images of each camera in time order, if they are within the tolerance of the frames' time range. Also
-/// returns the number of other images.
+/// Reads the images of each camera in time order, if they are within the tolerance of the frames' time range.
+/// Also returns the number of other images.
 fn images(
     database: &Database,
     place: &LogPaths,
@@ -306,7 +306,8 @@ mod tests {
         let frames = |first_us: i64| std::array::from_fn::<i64, 5, _>(|i| first_us + i as i64 * 50_000);
         let even = [0, 0, 101_000, 101_000, 199_000].map(Some);
         assert_eq!(taken(&images, frames(0)), even);
-        // With an offset of 0.4 ms, the second frame is 50.4 ms from the image before and 50.6 ms from the next.
+        // With an offset of 0.4 ms, the second frame is 50.4 ms from the image before and 50.6 ms from the
+        // next.
         let late = [0, 0, 101_000, 199_000, 199_000].map(Some);
         assert_eq!(taken(&images, frames(400)), late);
     }

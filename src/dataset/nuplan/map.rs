@@ -1,6 +1,7 @@
 //! `map.gpkg`: the HD map of a location, one table per layer.
 //!
-//! The areas of connectors and of lanes are in different layers, and the centerlines of both are in a third one.
+//! The areas of connectors and of lanes are in different layers, and the centerlines of both are in a third
+//! one.
 
 use std::collections::BTreeMap;
 use std::collections::btree_map::Entry;
@@ -100,9 +101,9 @@ struct Layers {
 }
 
 impl Layers {
-    /// Passes every feature of a layer to `each`, in order of ids: the id, the geometry, and further columns as
-    /// identifiers. Counts features with an empty geometry, and those that cannot be read, instead. Maps of some versions lack
-    /// layers, which are counted.
+    /// Passes every feature of a layer to `each`, in order of ids: the id, the geometry, and further columns
+    /// as identifiers. Counts features with an empty geometry, and those that cannot be read, instead. Maps
+    /// of some versions lack layers, which are counted.
     ///
     /// # Errors
     /// Fails if no feature of the layer can be read, or the database is damaged.
@@ -161,8 +162,8 @@ impl Layers {
         Ok(all)
     }
 
-    /// Reads roads, intersections, generic drivable areas and car parks. The layer `generic_drivable_areas` alone
-    /// lacks roads and intersections.
+    /// Reads roads, intersections, generic drivable areas and car parks. The layer `generic_drivable_areas`
+    /// alone lacks roads and intersections.
     fn drivable_area(&self, notes: &mut Counts) -> Result<Vec<Area>, DatasetError> {
         let mut all = Vec::new();
         for layer in ["lane_groups_polygons", "intersections", "generic_drivable_areas", "carpark_areas"] {

@@ -1,10 +1,10 @@
-//! nuPlan: a log is a SQLite database of tables linked by tokens. Merged sweeps (PCD) and images (JPEG) are in one
-//! folder, maps (GeoPackage) in another.
+//! nuPlan: a log is a SQLite database of tables linked by tokens. Merged sweeps (PCD) and images (JPEG) are
+//! in one folder, maps (GeoPackage) in another.
 //!
 //! # How it works
-//! `place` finds the folders and `database` reads checked rows. `frames`, `images` and `annotations` convert them to
-//! a [`Recording`], and `map` reads the HD map. Calibration columns are Python pickles; `pickle` decodes only lists of
-//! numbers. Format: <https://nuplan-devkit.readthedocs.io>.
+//! `place` finds the folders and `database` reads checked rows. `frames`, `images` and `annotations` convert
+//! them to a [`Recording`], and `map` reads the HD map. Calibration columns are Python pickles; `pickle`
+//! decodes only lists of numbers. Format: <https://nuplan-devkit.readthedocs.io>.
 
 mod annotations;
 mod clocks;
@@ -45,14 +45,14 @@ pub struct NuPlan {
 }
 
 impl NuPlan {
-    /// Reads the tables of a log. The path is a `.db` file, and the optional scene is a name or token of its table
-    /// `scene`. Or the path is a folder, and the scene names one of its logs; it is optional if there is only one.
-    /// Opens no sweeps or images.
+    /// Reads the tables of a log. The path is a `.db` file, and the optional scene is a name or token of its
+    /// table `scene`. Or the path is a folder, and the scene names one of its logs; it is optional if there
+    /// is only one. Opens no sweeps or images.
     ///
     /// # Errors
-    /// Fails if the file is not a log, tables, columns or tokens are missing, or values have a wrong type. Fails if
-    /// poses, cameras or boxes are invalid, or times do not increase. Fails if several logs exist and none is
-    /// selected, or the scene is unknown.
+    /// Fails if the file is not a log, tables, columns or tokens are missing, or values have a wrong type.
+    /// Fails if poses, cameras or boxes are invalid, or times do not increase. Fails if several logs exist
+    /// and none is selected, or the scene is unknown.
     pub fn open(locator: &LogLocator) -> Result<Self, DatasetError> {
         let locator = place::single(locator)?;
         let place = place::LogPaths::new(&locator)?;

@@ -1,10 +1,10 @@
 //! Decoder for pickles of numeric lists, as in calibration columns. Nothing is ever executed.
 //!
 //! # How it works
-//! nuPlan stores a translation, rotation or intrinsic matrix as a Python pickle (protocol 2 to 5) of a list, or of a
-//! list subclass. A pickle is a program for a stack machine. Only the instructions that build lists of numbers are
-//! implemented. A class is accepted only to create an empty list. Any other instruction or class is an error. Source:
-//! Python's `pickletools`.
+//! nuPlan stores a translation, rotation or intrinsic matrix as a Python pickle (protocol 2 to 5) of a list,
+//! or of a list subclass. A pickle is a program for a stack machine. Only the instructions that build lists
+//! of numbers are implemented. A class is accepted only to create an empty list. Any other instruction or
+//! class is an error. Source: Python's `pickletools`.
 
 /// Number or list.
 #[derive(Clone, Debug, PartialEq)]

@@ -1,7 +1,7 @@
 //! Locations of a log and its sensor and map folders.
 //!
-//! The defaults follow the downloads: `nuplan-v1.1/splits/SPLIT/LOG.db`, `nuplan-v1.1/sensor_blobs/LOG/..` and,
-//! beside `nuplan-v1.1`, `maps`.
+//! The defaults follow the downloads: `nuplan-v1.1/splits/SPLIT/LOG.db`, `nuplan-v1.1/sensor_blobs/LOG/..`
+//! and, beside `nuplan-v1.1`, `maps`.
 
 use std::path::{Path, PathBuf};
 

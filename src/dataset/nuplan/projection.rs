@@ -29,7 +29,8 @@ impl Utm {
         Some(Self { geographic, projected: Proj::from_proj_string(&utm).ok()? })
     }
 
-    /// Projects longitude and latitude in degrees to easting and northing; `None` where the projection is undefined.
+    /// Projects longitude and latitude in degrees to easting and northing; `None` where the projection is
+    /// undefined.
     pub(super) fn project(&self, degrees: DVec2) -> Option<DVec2> {
         let in_range = degrees.is_finite() && degrees.x.abs() <= 180.0 && degrees.y.abs() <= 90.0;
         let (lon_rad, lat_rad) = (degrees.x.to_radians(), degrees.y.to_radians());

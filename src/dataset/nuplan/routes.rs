@@ -11,8 +11,8 @@ use crate::geometry::Pose;
 /// Roadblocks and goal of a scene.
 type SceneRoute = (Vec<String>, Option<Pose>);
 
-/// Reads the routes of the frames; a new one begins where the scene changes. Counts goals whose pose is missing: logs
-/// are cut from longer recordings.
+/// Reads the routes of the frames; a new one begins where the scene changes. Counts goals whose pose is
+/// missing: logs are cut from longer recordings.
 pub(super) fn read(
     database: &Database,
     shots: &[FrameRecord],

@@ -20,8 +20,8 @@ struct Frames<'a> {
 }
 
 impl Frames<'_> {
-    /// Returns the frame of a token in a row; `None` if it is not among the frames read. Logs are cut from longer
-    /// recordings, so rows may refer to frames missing from the log; these are counted as `kind`.
+    /// Returns the frame of a token in a row; `None` if it is not among the frames read. Logs are cut from
+    /// longer recordings, so rows may refer to frames missing from the log; these are counted as `kind`.
     fn place(&mut self, row: &Row<'_>, column: usize, kind: &str) -> Result<Option<usize>, DatasetError> {
         let token = row.blob(column)?;
         if let Some(place) = self.places.get(token) {

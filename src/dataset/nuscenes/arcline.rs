@@ -1,7 +1,7 @@
 //! Arc-line paths: the centerline format of the map expansion.
 //!
-//! A path consists of an arc, a line or another arc, and a final arc, as in Dubins paths. `L` turns left on a circle
-//! of the path's radius, `R` turns right, `S` goes straight. A lane is a sequence of connected paths.
+//! A path consists of an arc, a line or another arc, and a final arc, as in Dubins paths. `L` turns left on a
+//! circle of the path's radius, `R` turns right, `S` goes straight. A lane is a sequence of connected paths.
 
 use glam::DVec2;
 use serde::de::{Deserialize, Deserializer};
@@ -88,8 +88,8 @@ impl ArclinePath {
     }
 }
 
-/// Approximates a line by straight paths, each as long as possible within [`FIT_M`] of the line's points. Empty for
-/// fewer than two points.
+/// Approximates a line by straight paths, each as long as possible within [`FIT_M`] of the line's points.
+/// Empty for fewer than two points.
 pub(super) fn straight_paths(line: &[DVec2]) -> Vec<ArclinePath> {
     let mut paths = Vec::new();
     let mut first = 0;
@@ -109,7 +109,8 @@ pub(super) fn straight_paths(line: &[DVec2]) -> Vec<ArclinePath> {
     paths
 }
 
-/// Returns whether points lie in order along the line from the first to the last, and the path length is valid.
+/// Returns whether points lie in order along the line from the first to the last, and the path length is
+/// valid.
 fn is_straight(points: &[DVec2]) -> bool {
     let [first, .., last] = points else { return true };
     let along = (*last - *first).normalize_or_zero();
@@ -118,8 +119,8 @@ fn is_straight(points: &[DVec2]) -> bool {
     first.distance(*last) < MAX_PATH_M && points.iter().all(near) && points.windows(2).all(onward)
 }
 
-/// Samples the paths of a lane, evenly on each path and at most [`STEP_M`] apart. Subtracts the path lengths from
-/// `left_m`, the remaining budget of the whole map.
+/// Samples the paths of a lane, evenly on each path and at most [`STEP_M`] apart. Subtracts the path lengths
+/// from `left_m`, the remaining budget of the whole map.
 ///
 /// # Errors
 /// Returns a description of the problem if a path is invalid or the budget is exceeded.

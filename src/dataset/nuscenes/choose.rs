@@ -19,7 +19,8 @@ const MOST_LISTED: usize = 20;
 /// Maximum number of entries per folder among which an error looks for them.
 const MOST_LOOKED_AT: usize = 1000;
 
-/// Returns the folder of the tables: `root/version`, or the only folder in `root` with tables, whatever its name.
+/// Returns the folder of the tables: `root/version`, or the only folder in `root` with tables, whatever its
+/// name.
 pub(super) fn version_folder(root: &Path, version: Option<&str>) -> Result<PathBuf, DatasetError> {
     let folders = folders_in(root, usize::MAX)?;
     let known: Vec<&String> = folders.iter().filter(|name| is_taken(&root.join(name).join(MARK))).collect();
@@ -108,8 +109,9 @@ pub(super) fn choose_scene<'a>(
     Err(DatasetError::Scene { found: wanted.map(Into::into), scenes: names, path: scenes.path.clone() })
 }
 
-/// Returns the scenes that a locator refers to, sorted by name. `#*` selects all scenes of the version, `#LOCATION`
-/// those recorded there; otherwise the locator itself is returned. Scene names take precedence over locations.
+/// Returns the scenes that a locator refers to, sorted by name. `#*` selects all scenes of the version,
+/// `#LOCATION` those recorded there; otherwise the locator itself is returned. Scene names take precedence
+/// over locations.
 ///
 /// # Errors
 /// Fails if tables are missing or damaged, or `#SCENE` is neither a scene nor a location.

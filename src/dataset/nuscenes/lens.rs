@@ -1,4 +1,5 @@
-//! Lens distortion in the records of cameras: `camera_distortion` of the calibrated sensor, or another usual name.
+//! Lens distortion in the records of cameras: `camera_distortion` of the calibrated sensor, or another usual
+//! name.
 //!
 //! Some data sets in this layout store images as the lens recorded them, others rectify them and leave the
 //! coefficients of the lens. nuScenes itself has none. The tables do not say which, so an option does.
@@ -99,8 +100,8 @@ pub(super) fn lens(
     Ok(Lens { distortion: Distortion::from_opencv(five), ignored: None })
 }
 
-/// Returns what to say about the lens of a calibrated camera whose images are read: coefficients that are ignored, and
-/// fields that may hold some under a name that is not known.
+/// Returns what to say about the lens of a calibrated camera whose images are read: coefficients that are
+/// ignored, and fields that may hold some under a name that is not known.
 pub(super) fn unread(calibrated: &CalibratedSensor, sensor: &Sensor, option: ImageDistortion) -> Vec<String> {
     // Coefficients that cannot be used are reported with their camera.
     let lens = lens(calibrated, sensor, option, "", Path::new("")).unwrap_or_default();
@@ -159,7 +160,8 @@ fn single(record: &Map<String, Value>) -> Option<Given<'_>> {
     Some(Given { key, value: Value::from(value.to_vec()) })
 }
 
-/// Returns the name of a field without `camera`, in lower case and without other signs than letters and digits.
+/// Returns the name of a field without `camera`, in lower case and without other signs than letters and
+/// digits.
 fn plain(key: &str) -> String {
     let name: String = key.chars().filter(char::is_ascii_alphanumeric).collect();
     let name = name.to_ascii_lowercase();

@@ -1,7 +1,7 @@
 //! Map expansion: `maps/expansion/LOCATION.json`, layers of polygons and lines with shared corner nodes.
 //!
-//! Format: version 1.3 of <https://www.nuscenes.org/nuscenes#map-expansion>. Earlier versions (no lane connectors, no
-//! centerlines) are supported too.
+//! Format: version 1.3 of <https://www.nuscenes.org/nuscenes#map-expansion>. Earlier versions (no lane
+//! connectors, no centerlines) are supported too.
 
 use std::cell::{Cell, RefCell};
 use std::collections::hash_map::Entry;
@@ -22,8 +22,8 @@ use crate::files::{FileName, json};
 /// Finds the map file of a location: below `map_root` if given, else below `root/maps`, where it is optional.
 ///
 /// # Errors
-/// Fails if `map_root` is given and has no such file, the location is not a valid file name, or the path is not a
-/// regular file.
+/// Fails if `map_root` is given and has no such file, the location is not a valid file name, or the path is
+/// not a regular file.
 pub(super) fn find(
     root: &Path,
     map_root: Option<&Path>,
@@ -46,12 +46,12 @@ pub(super) fn find(
     }
 }
 
-/// Reads the map of a location. Records without an area or a length, those that refer to missing ones or cannot be
-/// read, and missing layers are counted.
+/// Reads the map of a location. Records without an area or a length, those that refer to missing ones or
+/// cannot be read, and missing layers are counted.
 ///
 /// # Errors
-/// Fails if the file cannot be read or is not a map expansion, which has nodes, polygons and lanes, or if no record of a
-/// layer can be read.
+/// Fails if the file cannot be read or is not a map expansion, which has nodes, polygons and lanes, or if no
+/// record of a layer can be read.
 pub fn read_map_file(path: &Path, location: &str) -> Result<VectorMap, DatasetError> {
     const EXPECTED: &str = "a map expansion";
     let bytes = read_table(path)?;

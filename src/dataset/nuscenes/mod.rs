@@ -1,8 +1,10 @@
-//! nuScenes: JSON tables linked by tokens, 10 of which are read, with LiDAR sweeps and camera images beside them.
+//! nuScenes: JSON tables linked by tokens, 10 of which are read, with LiDAR sweeps and camera images beside
+//! them.
 //!
 //! # How it works
-//! `tables` defines the raw records, `version` finds those of one scene, `read` converts them to a [`Recording`], and
-//! `sweep` reads and writes sweep files. Format: <https://www.nuscenes.org/nuscenes#data-format>.
+//! `tables` defines the raw records, `version` finds those of one scene, `read` converts them to a
+//! [`Recording`], and `sweep` reads and writes sweep files. Format:
+//! <https://www.nuscenes.org/nuscenes#data-format>.
 
 mod annotations;
 mod arcline;
@@ -53,14 +55,14 @@ pub struct NuScenes {
 }
 
 impl NuScenes {
-    /// Reads the tables in `PATH/VERSION`. Defaults to the only folder with tables and to the only scene. Opens no
-    /// sweeps, images or maps.
+    /// Reads the tables in `PATH/VERSION`. Defaults to the only folder with tables and to the only scene.
+    /// Opens no sweeps, images or maps.
     ///
     /// # Errors
-    /// Fails if tables are missing or damaged, tokens are unresolved, or times do not increase. Fails if file names
-    /// point outside the folder of sweeps and images (unless [`LogLocator::allow_outside`]), or a camera name is not
-    /// a valid folder name. Fails if poses, cameras or boxes are invalid, or if several versions or scenes exist and
-    /// none is selected.
+    /// Fails if tables are missing or damaged, tokens are unresolved, or times do not increase. Fails if file
+    /// names point outside the folder of sweeps and images (unless [`LogLocator::allow_outside`]), or a
+    /// camera name is not a valid folder name. Fails if poses, cameras or boxes are invalid, or if several
+    /// versions or scenes exist and none is selected.
     pub fn open(locator: &LogLocator) -> Result<Self, DatasetError> {
         Self::of(&Version::open(locator)?, locator)
     }

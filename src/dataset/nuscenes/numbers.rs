@@ -1,5 +1,5 @@
-//! Numbers and truth values of the tables as different writers store them: whole numbers as floats, unknown counts as -1 or
-//! `null`, `true` as 1, and all of them as text.
+//! Numbers and truth values of the tables as different writers store them: whole numbers as floats, unknown
+//! counts as -1 or `null`, `true` as 1, and all of them as text.
 
 use std::fmt;
 

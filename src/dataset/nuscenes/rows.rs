@@ -44,8 +44,8 @@ enum State {
 /// Calls a function with every object of a JSON array, in file order.
 ///
 /// # Errors
-/// Fails if the file cannot be read, or is not one array of objects, each of at most [`ROW_BYTES`] bytes. The objects
-/// themselves are not checked. Returns the error of the function as one of the row.
+/// Fails if the file cannot be read, or is not one array of objects, each of at most [`ROW_BYTES`] bytes. The
+/// objects themselves are not checked. Returns the error of the function as one of the row.
 pub(super) fn for_each_row<E: std::fmt::Display>(
     path: &Path,
     of: &str,

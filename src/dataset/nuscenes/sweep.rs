@@ -1,5 +1,5 @@
-//! Sweep files: `.pcd.bin` files are rows of five little-endian `f32` without a header: x, y, z (meters, LiDAR frame),
-//! intensity, ring. Other data sets in this layout have PCD files, or no rings.
+//! Sweep files: `.pcd.bin` files are rows of five little-endian `f32` without a header: x, y, z (meters,
+//! LiDAR frame), intensity, ring. Other data sets in this layout have PCD files, or no rings.
 
 use std::io::Write;
 use std::os::unix::fs::FileExt;
@@ -18,8 +18,8 @@ pub const POINT_BYTES: usize = 20;
 /// Note for sweeps of four columns.
 const NO_RING: &str = "sweeps of four columns (x y z intensity), without rings";
 
-/// Reads a sweep file: rows without a header, of five columns or of four (without rings), or a PCD file, whatever its
-/// name.
+/// Reads a sweep file: rows without a header, of five columns or of four (without rings), or a PCD file,
+/// whatever its name.
 ///
 /// # Errors
 /// Fails if the file is missing or empty, or has another format or layout. Fails if no point has finite
@@ -65,7 +65,8 @@ fn parse_rows(bytes: &[u8], path: &Path) -> Result<SweepRows, FileError> {
     Ok(sweep)
 }
 
-/// Returns the number of columns of rows without a header, in a file of `length` bytes that begins with `head`.
+/// Returns the number of columns of rows without a header, in a file of `length` bytes that begins with
+/// `head`.
 fn columns_of(head: &[u8], read: &ReadAt<'_>, length: u64, path: &Path) -> Result<usize, FileError> {
     if let Some(found) = named_format(head) {
         let expected = "rows of floats (x y z intensity ring) or a PCD file";

@@ -1,8 +1,8 @@
 //! Raw records of the JSON tables.
 //!
 //! # How it works
-//! A table is one JSON array of records. The parser skips unused fields. The trainval set has tables of more than a
-//! gigabyte; of these, `version` reads the records of one scene.
+//! A table is one JSON array of records. The parser skips unused fields. The trainval set has tables of more
+//! than a gigabyte; of these, `version` reads the records of one scene.
 
 use std::path::{Path, PathBuf};
 

@@ -16,13 +16,14 @@ use crate::geometry::Pose;
 /// JPEG quality of the images, 1 to 100.
 const QUALITY: u8 = 95;
 
-/// Writes a log as `root/version/*.json` (13 tables), `root/samples` and `root/sweeps`. Reading it back yields the
-/// same log, except for paths, the order of cameras and tracks (by token), and JPEG losses. Scenarios, traffic
-/// lights, notes and the map are omitted, since the tables cannot represent them. The tables are written last.
+/// Writes a log as `root/version/*.json` (13 tables), `root/samples` and `root/sweeps`. Reading it back
+/// yields the same log, except for paths, the order of cameras and tracks (by token), and JPEG losses.
+/// Scenarios, traffic lights, notes and the map are omitted, since the tables cannot represent them. The
+/// tables are written last.
 ///
 /// # Errors
-/// Returns any error of the log. Fails if a frame has more than one LiDAR, a camera has lens distortion (which the
-/// tables cannot represent), or a file cannot be written.
+/// Returns any error of the log. Fails if a frame has more than one LiDAR, a camera has lens distortion
+/// (which the tables cannot represent), or a file cannot be written.
 pub fn write_log(root: &Path, version: &str, dataset: &dyn LogReader) -> Result<(), DatasetError> {
     LogWriter { version, map: None, frame_done: &|_| () }.write(root, dataset)
 }
@@ -269,8 +270,8 @@ impl Tables {
         }
     }
 
-    /// Adds a sensor file: its row, ego pose and calibration. `sensor`: index, extrinsics, intrinsics, height and
-    /// width.
+    /// Adds a sensor file: its row, ego pose and calibration. `sensor`: index, extrinsics, intrinsics, height
+    /// and width.
     fn data(
         &mut self,
         frame: usize,

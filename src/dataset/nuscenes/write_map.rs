@@ -52,13 +52,13 @@ pub(super) fn picture_name(location: &str) -> String {
     format!("maps/{location}.png")
 }
 
-/// Writes `maps/expansion/LOCATION.json` (version 1.3) and `maps/LOCATION.png` (white where one may drive or walk)
-/// below a folder. Reading the expansion yields the same map, except that centerlines become straight pieces within 2
-/// mm of their points.
+/// Writes `maps/expansion/LOCATION.json` (version 1.3) and `maps/LOCATION.png` (white where one may drive or
+/// walk) below a folder. Reading the expansion yields the same map, except that centerlines become straight
+/// pieces within 2 mm of their points.
 ///
 /// # Errors
-/// Fails if areas have coordinates below 0 or the image with its margin would exceed 4 km. Fails if the location is
-/// not a valid file name or a file cannot be written.
+/// Fails if areas have coordinates below 0 or the image with its margin would exceed 4 km. Fails if the
+/// location is not a valid file name or a file cannot be written.
 pub fn write_map(root: &Path, map: &VectorMap, layers: &MapLayers) -> Result<(), FileError> {
     let location = &map.location;
     let location = &FileName::new(location).map_err(|error| error.of("location of the map").in_file(root))?;

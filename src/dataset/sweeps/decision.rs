@@ -46,8 +46,8 @@ impl RingDecision {
     }
 }
 
-/// Returns what most of a few sweeps of a log say. Sweeps that cannot be read do not count. Must not wait for other threads, which
-/// may wait for this decision.
+/// Returns what most of a few sweeps of a log say. Sweeps that cannot be read do not count. Must not wait for
+/// other threads, which may wait for this decision.
 fn of_log(log: &Recording, read: impl Fn(&Path) -> Result<SweepRows, FileError>) -> Option<Evidence> {
     let records: Vec<_> = log.frames.iter().flat_map(|frame| &frame.sweeps).collect();
     let count = records.len().min(SWEEPS);

@@ -1,13 +1,15 @@
-//! Whether the numbers of a column are beams of one LiDAR or merged LiDARs, from the directions of their points.
+//! Whether the numbers of a column are beams of one LiDAR or merged LiDARs, from the directions of their
+//! points.
 //!
 //! # How it works
-//! A beam of a spinning LiDAR keeps its elevation, and the beams of one LiDAR sweep the same azimuths. Several LiDARs
-//! each have many beams, so their elevations overlap, and they look at different azimuths or from different places.
-//! Numbers whose points have all directions in common are interleaved: they say nothing about devices.
+//! A beam of a spinning LiDAR keeps its elevation, and the beams of one LiDAR sweep the same azimuths.
+//! Several LiDARs each have many beams, so their elevations overlap, and they look at different azimuths or
+//! from different places. Numbers whose points have all directions in common are interleaved: they say
+//! nothing about devices.
 //!
-//! A flag of one LiDAR (near or far, left or right, ground, echo) divides its directions. Where two LiDARs look into the
-//! same directions, each of them sees what the other sees, and has as many points there as elsewhere. Where a flag
-//! divides, one number lacks the points that the other has.
+//! A flag of one LiDAR (near or far, left or right, ground, echo) divides its directions. Where two LiDARs
+//! look into the same directions, each of them sees what the other sees, and has as many points there as
+//! elsewhere. Where a flag divides, one number lacks the points that the other has.
 
 use std::collections::BTreeMap;
 
@@ -41,12 +43,14 @@ const DEVICE_DEGREES: f64 = 5.0;
 /// Share of points at other azimuths: interleaved beams have less, and two LiDARs certainly differ above.
 const SAME_AZIMUTHS: f64 = 0.15;
 const OTHER_AZIMUTHS: f64 = 0.5;
-/// Share of the cells of one LiDAR in the sectors of the other that the other has too. Flags in space have up to half of them.
+/// Share of the cells of one LiDAR in the sectors of the other that the other has too. Flags in space have up
+/// to half of them.
 const COMMON_CELLS: f64 = 0.75;
 const MIN_CELLS: u32 = 100;
 /// Sectors with fewer cells than this share of the fullest one are not part of a LiDAR's view.
 const SECTOR_SHARE: f64 = 0.25;
-/// Points that one number lacks per point of the other in its cells: flags lack 0.4 to 1.1, LiDARs less than 0.05.
+/// Points that one number lacks per point of the other in its cells: flags lack 0.4 to 1.1, LiDARs less than
+/// 0.05.
 const LACKING: f64 = 0.2;
 /// Cells of a row that are compared with the others of the row.
 const MIN_ROW_CELLS: u32 = 20;
@@ -102,8 +106,8 @@ pub(super) fn majority(sweeps: &[Evidence]) -> Option<Evidence> {
     (!sweeps.is_empty()).then(|| most.unwrap_or(Evidence::Unknown))
 }
 
-/// Returns whether two numbers certainly have directions of their own: both see what is in the view of both, and neither
-/// lacks the points that the other has.
+/// Returns whether two numbers certainly have directions of their own: both see what is in the view of both,
+/// and neither lacks the points that the other has.
 fn are_independent(a: &Pattern, b: &Pattern) -> bool {
     let rows = a.rows().start.max(b.rows().start)..a.rows().end.min(b.rows().end);
     let lacking: Vec<f64> =
@@ -147,7 +151,8 @@ impl Pattern {
         low as usize..high as usize + 1
     }
 
-    /// Returns the share of points that would have to turn to another azimuth for the patterns to be the same.
+    /// Returns the share of points that would have to turn to another azimuth for the patterns to be the
+    /// same.
     fn azimuth_difference(&self, other: &Self) -> f64 {
         let share = |pattern: &Self, sector: usize| {
             let cells = |row: &[u32; AZIMUTHS]| row[sector..sector + SECTOR].iter().sum::<u32>();
@@ -178,8 +183,8 @@ impl Pattern {
         all >= MIN_CELLS && f64::from(seen) >= COMMON_CELLS * f64::from(all)
     }
 
-    /// Returns the mean number of points that this number lacks in cells of the other one, compared with the other cells of
-    /// their row, per point of the other number; `None` if there is nothing to compare.
+    /// Returns the mean number of points that this number lacks in cells of the other one, compared with the
+    /// other cells of their row, per point of the other number; `None` if there is nothing to compare.
     fn lacking(&self, other: &Self, rows: std::ops::Range<usize>) -> Option<f64> {
         let (mut lacking, mut others) = (0.0, 0.0);
         for row in rows {

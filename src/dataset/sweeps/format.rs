@@ -27,8 +27,8 @@ fn is_pcd_comment(head: &[u8]) -> bool {
     line.to_ascii_uppercase().starts_with(b"# .PCD")
 }
 
-/// Returns the name of a format that is not a sweep's, for messages; `None` if the bytes may be numbers: short marks also
-/// occur as coordinates.
+/// Returns the name of a format that is not a sweep's, for messages; `None` if the bytes may be numbers:
+/// short marks also occur as coordinates.
 pub(in crate::dataset) fn named_format(bytes: &[u8]) -> Option<String> {
     let bytes = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes);
     let first = bytes.first_chunk().map(|b| f32::from_le_bytes(*b));

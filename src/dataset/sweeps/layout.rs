@@ -1,10 +1,10 @@
 //! Layout of rows without a header, from their values.
 //!
 //! # How it works
-//! A column has values of one kind: of both signs, whole, large. So the kinds repeat with the number of columns as
-//! their period. With any other period, each column is a mixture of all kinds. Rows of one value (zeros in place of
-//! returns) are left out, and the others come from the whole file (`sample`). `multiples` tells wide rows from several
-//! points. Numbers of another type, read as floats, are of absurd sizes.
+//! A column has values of one kind: of both signs, whole, large. So the kinds repeat with the number of
+//! columns as their period. With any other period, each column is a mixture of all kinds. Rows of one value
+//! (zeros in place of returns) are left out, and the others come from the whole file (`sample`). `multiples`
+//! tells wide rows from several points. Numbers of another type, read as floats, are of absurd sizes.
 
 use std::path::Path;
 
@@ -21,7 +21,8 @@ const WITHOUT_RING: usize = 4;
 const PERIODS: [usize; 7] = [3, 4, 5, 6, 7, 8, 9];
 /// Minimum number of values for a judgement.
 const MIN_VALUES: usize = 320;
-/// A period is certain if it explains this share of the differences, and this many times as much as five columns.
+/// A period is certain if it explains this share of the differences, and this many times as much as five
+/// columns.
 const CLEAR_SHARE: f64 = 0.05;
 const CLEAR_RATIO: f64 = 2.0;
 /// Share of the explanation that a divisor of a period gives: six columns also repeat after twelve.
@@ -31,19 +32,20 @@ const SAME_SHARE: f64 = 0.8;
 const PLAUSIBLE: std::ops::Range<f64> = 1e-10..1e5;
 /// Sizes of integers, like millimeters.
 const PLAUSIBLE_INTEGERS: std::ops::Range<f64> = 1.0..1e8;
-/// Share of plausible numbers above which floats are certain, another type is certain, and floats are possible.
+/// Share of plausible numbers above which floats are certain, another type is certain, and floats are
+/// possible.
 const FLOATS: f64 = 0.95;
 const OTHER_TYPE: f64 = 0.99;
 const POSSIBLE: f64 = 0.5;
 
 const EXPECTED: &str = "rows of 5 little-endian floats of 4 bytes (x y z intensity ring)";
 
-/// Returns the number of `f32` columns in a file of `length` bytes, 5 or 4, from parts of it, or all of it if these say too
-/// little.
+/// Returns the number of `f32` columns in a file of `length` bytes, 5 or 4, from parts of it, or all of it if
+/// these say too little.
 ///
 /// # Errors
-/// Fails if the file is empty or has one value only, its values have another layout or type or do not tell, or its
-/// length is not a number of rows. Returns any error of `read`.
+/// Fails if the file is empty or has one value only, its values have another layout or type or do not tell,
+/// or its length is not a number of rows. Returns any error of `read`.
 pub(in crate::dataset) fn columns(read: &ReadAt<'_>, length: u64, path: &Path) -> Result<usize, FileError> {
     if length == 0 {
         return Err(FileError::content("at least one point of 20 bytes", "an empty file", path));
@@ -171,7 +173,8 @@ fn plausible(values: impl Iterator<Item = f64>, sizes: std::ops::Range<f64>) -> 
 mod tests {
     use super::*;
 
-    /// Returns rows of points around a LiDAR: x y z intensity ring time, and further columns of whole numbers.
+    /// Returns rows of points around a LiDAR: x y z intensity ring time, and further columns of whole
+    /// numbers.
     fn rows(count: i64, columns: usize) -> Vec<f32> {
         let number =
             |i: i64, axis: i64, low: f64, high: f64| crate::hash::between(3, &[i, axis], low, high) as f32;

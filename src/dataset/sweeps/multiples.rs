@@ -6,7 +6,8 @@ use super::sample::{Sample, is_uniform};
 const POINTS: std::ops::RangeInclusive<usize> = 2..=4;
 /// Number of rows for a judgement.
 const MIN_ROWS: usize = 20;
-/// Difference between shares of whole numbers, and of points near the LiDAR, that points of one sweep do not have.
+/// Difference between shares of whole numbers, and of points near the LiDAR, that points of one sweep do not
+/// have.
 const OTHER_SHARE: f64 = 0.4;
 /// Planar distance below which a point is near, meters: closer than the ego's own surface.
 const NEAR_M: f32 = 1.5;
@@ -34,8 +35,8 @@ pub(super) fn multiple(sample: &Sample, columns: usize) -> Option<usize> {
     POINTS.map(|points| points * columns).find(|wide| is_wide(sample, *wide, columns))
 }
 
-/// Returns whether the parts of wide rows are not points of one sweep. Beams of a LiDAR may alternate, so their heights and the
-/// sizes of their rings do not count.
+/// Returns whether the parts of wide rows are not points of one sweep. Beams of a LiDAR may alternate, so
+/// their heights and the sizes of their rings do not count.
 fn is_wide(sample: &Sample, wide: usize, columns: usize) -> bool {
     let mut places: Vec<Place> = (0..wide / columns).map(|_| Place::default()).collect();
     let (mut rows, mut copies) = (0, 0);

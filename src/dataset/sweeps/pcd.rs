@@ -1,8 +1,8 @@
 //! PCD files: sweeps with a text header that names the fields.
 //!
-//! Fields other than coordinates, intensity, ring and `lidar_info` (device of a merged sweep) are skipped by their
-//! sizes. Bytes after the last point are ignored: in nuPlan's files they are garbage, mostly zeros. Format:
-//! <https://pointclouds.org/documentation/tutorials/pcd_file_format.html>.
+//! Fields other than coordinates, intensity, ring and `lidar_info` (device of a merged sweep) are skipped by
+//! their sizes. Bytes after the last point are ignored: in nuPlan's files they are garbage, mostly zeros.
+//! Format: <https://pointclouds.org/documentation/tutorials/pcd_file_format.html>.
 
 use std::io::Read;
 use std::path::Path;
@@ -47,8 +47,8 @@ pub(in crate::dataset) fn check_pcd(head: &[u8], length: u64, path: &Path) -> Re
 /// Reads a PCD file of any encoding. Drops and counts points with a NaN or infinite coordinate.
 ///
 /// # Errors
-/// Fails if the file is missing or truncated, its header lacks `x y z` as floats, or sizes in the header contradict each
-/// other. Fails if no point has finite coordinates, or all are at the origin.
+/// Fails if the file is missing or truncated, its header lacks `x y z` as floats, or sizes in the header
+/// contradict each other. Fails if no point has finite coordinates, or all are at the origin.
 pub fn read_pcd_file(path: &Path) -> Result<Sweep, FileError> {
     let bytes = read_file(path, SWEEP_BYTES)?;
     parse_pcd(&bytes, path)
@@ -113,8 +113,8 @@ impl Points<'_> {
 }
 
 impl Header {
-    /// Returns the end of the points in a file of `length` bytes, or an error if it is shorter. `head` holds the
-    /// header and the lengths of compressed points.
+    /// Returns the end of the points in a file of `length` bytes, or an error if it is shorter. `head` holds
+    /// the header and the lengths of compressed points.
     fn end(&self, head: &[u8], length: u64, path: &Path) -> Result<usize, FileError> {
         let (points, stride) = (self.points, self.stride);
         let (bytes, expected) = match self.encoding {

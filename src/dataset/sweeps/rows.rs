@@ -17,7 +17,8 @@ const FEW_RINGS: &str =
 const BEAMS: &str = "sweeps whose lidar_info numbers beams instead of LiDARs";
 const MERGED: &str = "sweeps of merged LiDARs (--ring-is beam if not)";
 
-/// Values of a point as stored. `device` is the LiDAR of a merged sweep, if the file has a column that says so.
+/// Values of a point as stored. `device` is the LiDAR of a merged sweep, if the file has a column that says
+/// so.
 #[derive(Clone, Copy, Debug)]
 pub(in crate::dataset) struct SweepRow {
     pub(in crate::dataset) position: [f32; 3],
@@ -72,7 +73,8 @@ impl SweepRows {
         self.has_devices() || may_be_devices(&self.sweep.points)
     }
 
-    /// Returns what the directions of the points say about their numbers; `None` if no number can be that of a LiDAR.
+    /// Returns what the directions of the points say about their numbers; `None` if no number can be that of
+    /// a LiDAR.
     pub(super) fn evidence(&self) -> Option<Evidence> {
         let points = &self.sweep.points;
         self.may_be_merged().then(|| match self.has_devices() {
@@ -86,7 +88,8 @@ impl SweepRows {
         self.devices.windows(2).any(|pair| pair[0] != pair[1])
     }
 
-    /// Returns the sweep with the meaning of its ring column, judged from its own points; `path` is for messages.
+    /// Returns the sweep with the meaning of its ring column, judged from its own points; `path` is for
+    /// messages.
     ///
     /// # Errors
     /// Fails as [`SweepRows::finish_as`].
@@ -95,7 +98,8 @@ impl SweepRows {
         self.finish_as(meaning, found, path)
     }
 
-    /// Returns the sweep with the meaning of its ring column. `found` decides what [`RingMeaning::Auto`] means.
+    /// Returns the sweep with the meaning of its ring column. `found` decides what [`RingMeaning::Auto`]
+    /// means.
     ///
     /// # Errors
     /// Fails if no point has finite coordinates, or all are at the origin.

@@ -65,7 +65,8 @@ pub(super) fn document(error: &serde_json::Error, text: &[u8]) -> String {
     }
 }
 
-/// Describes text that is not JSON; `place` follows it, and the beginning of the text where the parser stopped.
+/// Describes text that is not JSON; `place` follows it, and the beginning of the text where the parser
+/// stopped.
 pub(super) fn syntax(error: &serde_json::Error, text: &[u8], place: &str, with_position: bool) -> String {
     let message = without_position(error);
     let mut at = offset(text, error.line(), error.column());

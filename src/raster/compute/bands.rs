@@ -1,4 +1,5 @@
-//! Partition of views into row strips ("bands"), and of strips into batches ("parts") that fit the device's buffers.
+//! Partition of views into row strips ("bands"), and of strips into batches ("parts") that fit the device's
+//! buffers.
 
 use bytemuck::{Pod, Zeroable};
 

@@ -1,18 +1,20 @@
 //! The compute rasterizer: visibility buffers with 64-bit atomics instead of a depth test.
 //!
 //! # How it works
-//! Points are stored in images, one chunk of 4096 neighboring points per row (`chunk`, `store`). A frame is a list
-//! of instances in one numbering (`plan`). Its views are row strips ("bands") of one visibility buffer per cloud
-//! (`bands`, `layers`). Only chunks that may be visible in a view are drawn (`cull`), in one dispatch per page and
-//! kind for all views. Each point writes its pixel with an atomic minimum of `depth << 32 | number` (`project`).
-//! Radii never increase with depth, so a nearer point in the same pixel covers everything that a farther one covers,
-//! and one key per pixel suffices. With radii of at most 2 the resolve shaders gather the neighborhood of each pixel
-//! that the result reads, and write the maps (`resolve`). With larger radii (`coverage`) either the points write all
-//! pixels of their squares, or several passes spread the keys (`passes`, `spread`). All passes of a frame are one submit (`record`) with buffers of its own (`slot`), so the next frame can be begun meanwhile.
-//! Only streaming, and views that do not fit into one batch ("part"), take several submits.
+//! Points are stored in images, one chunk of 4096 neighboring points per row (`chunk`, `store`). A frame is a
+//! list of instances in one numbering (`plan`). Its views are row strips ("bands") of one visibility buffer
+//! per cloud (`bands`, `layers`). Only chunks that may be visible in a view are drawn (`cull`), in one
+//! dispatch per page and kind for all views. Each point writes its pixel with an atomic minimum of `depth <<
+//! 32 | number` (`project`). Radii never increase with depth, so a nearer point in the same pixel covers
+//! everything that a farther one covers, and one key per pixel suffices. With radii of at most 2 the resolve
+//! shaders gather the neighborhood of each pixel that the result reads, and write the maps (`resolve`). With
+//! larger radii (`coverage`) either the points write all pixels of their squares, or several passes spread
+//! the keys (`passes`, `spread`). All passes of a frame are one submit (`record`) with buffers of its own
+//! (`slot`), so the next frame can be begun meanwhile. Only streaming, and views that do not fit into one
+//! batch ("part"), take several submits.
 //!
-//! If the positions of all points exceed the memory budget, rows of positions are streamed, and the least recently
-//! drawn rows are evicted (`Residency`).
+//! If the positions of all points exceed the memory budget, rows of positions are streamed, and the least
+//! recently drawn rows are evicted (`Residency`).
 
 mod bands;
 mod coverage;
@@ -55,7 +57,8 @@ use super::{
 use crate::geometry::ImageSize;
 use crate::gpu::{Commands, Device, GpuError, PendingSubmit};
 
-/// Partitioning of a [`ComputeRasterizer`]'s work; the default uses the device's limits. Results never depend on it.
+/// Partitioning of a [`ComputeRasterizer`]'s work; the default uses the device's limits. Results never depend
+/// on it.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct ComputeRasterizerDesc {
     /// Memory budget for points on the device, bytes (20 per point); beyond it positions are streamed.

@@ -9,7 +9,8 @@ pub(super) struct Pass {
     pub(super) radius: u32,
     /// Distance between adjacent windows of the nine, pixels.
     pub(super) step: u32,
-    /// Bits of the depth up to which the previous windows are squares; 0 if their radius is not in the schedule.
+    /// Bits of the depth up to which the previous windows are squares; 0 if their radius is not in the
+    /// schedule.
     pub(super) bound: u32,
     /// The same for the grown windows.
     pub(super) next_bound: u32,

@@ -77,7 +77,8 @@ impl Phases<'_> {
     }
 }
 
-/// Splits ascending rows into consecutive runs within one page; returns the first index and count of each run.
+/// Splits ascending rows into consecutive runs within one page; returns the first index and count of each
+/// run.
 fn neighbours(rows: &[u32], page_rows: u32) -> Vec<(usize, usize)> {
     let mut runs: Vec<(usize, usize)> = Vec::new();
     for (i, row) in rows.iter().enumerate() {

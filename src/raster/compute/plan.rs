@@ -16,8 +16,8 @@ pub(super) struct Numbered {
     first: u32,
 }
 
-/// Joint numbering of both clouds of a frame. Each instance starts at a multiple of [`CHUNK`], so that a block
-/// belongs to one instance.
+/// Joint numbering of both clouds of a frame. Each instance starts at a multiple of [`CHUNK`], so that a
+/// block belongs to one instance.
 pub(super) struct Numbering {
     pub(super) instances: Vec<Numbered>,
     pub(super) blocks: Vec<Block>,

@@ -12,8 +12,8 @@ use crate::raster::steps::{Step, steps};
 
 /// Descriptor set of a page of points.
 pub(super) const PAGE_SET: u32 = 1;
-/// Points per workgroup that draws squares: CPU drivers terminate invocations that loop more than 65 535 times, and
-/// each square may have up to 63 by 63 pixels.
+/// Points per workgroup that draws squares: CPU drivers terminate invocations that loop more than 65 535
+/// times, and each square may have up to 63 by 63 pixels.
 const SQUARES_AT_ONCE: u32 = 512;
 /// Workgroups in a row of a dispatch.
 const GROUPS_PER_ROW: u32 = shaders::project_wgsl_pixel::GROUPS_PER_ROW;

@@ -103,8 +103,9 @@ impl ResolveStage {
         self.color.layout()
     }
 
-    /// Returns the number of result rows that an invocation walks down. Each walk reads four extra rows of keys
-    /// before its first result, and each walk is one invocation: a CPU prefers long walks, a GPU prefers many.
+    /// Returns the number of result rows that an invocation walks down. Each walk reads four extra rows of
+    /// keys before its first result, and each walk is one invocation: a CPU prefers long walks, a GPU prefers
+    /// many.
     pub(super) fn rows_each(&self, device: &Device) -> u32 {
         match (self.reduced, device.is_cpu()) {
             (true, true) => 32,

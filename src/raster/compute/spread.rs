@@ -1,12 +1,13 @@
 //! Spreading of keys for radii that are too large to gather (`glsl/spread.wgsl`).
 //!
 //! # How it works
-//! A point that is nearest in its pixel covers everything that a farther one with the same center covers, since
-//! radii never increase with depth. One key per pixel is therefore enough for any radius: a pixel shows the minimum
-//! of the surrounding keys whose squares reach it. Keys are ordered by depth, and the keys with at least a given
-//! radius are those up to some depth. The minimum key within each radius of the schedule is therefore sufficient: a
-//! window. Windows grow from pass to pass, each from nine of the previous pass. The cost depends only on the number
-//! of pixels; that of squares drawn per point grows with the number of points and the area of a square.
+//! A point that is nearest in its pixel covers everything that a farther one with the same center covers,
+//! since radii never increase with depth. One key per pixel is therefore enough for any radius: a pixel shows
+//! the minimum of the surrounding keys whose squares reach it. Keys are ordered by depth, and the keys with
+//! at least a given radius are those up to some depth. The minimum key within each radius of the schedule is
+//! therefore sufficient: a window. Windows grow from pass to pass, each from nine of the previous pass. The
+//! cost depends only on the number of pixels; that of squares drawn per point grows with the number of points
+//! and the area of a square.
 
 use std::sync::Arc;
 

@@ -6,8 +6,8 @@ use super::bands::ResolveTap;
 use crate::gpu::{assert_layout, shaders};
 use crate::raster::Draw;
 
-/// Entry for a block of [`CHUNK`](crate::raster::chunk::CHUNK) point numbers: the wrapping offsets from a number to its color
-/// index and to the point's number + 1, the instance number, and padding.
+/// Entry for a block of [`CHUNK`](crate::raster::chunk::CHUNK) point numbers: the wrapping offsets from a
+/// number to its color index and to the point's number + 1, the instance number, and padding.
 pub(super) type Block = [u32; 4];
 
 /// An instance in a row strip.

@@ -1,10 +1,10 @@
 //! Visibility buffers to visible points: each pixel gets the nearest of the points whose squares cover it.
 //!
-//! A buffer contains the nearest point per pixel, whatever its radius. Radii never increase with depth, so the points
-//! of at least radius `r` are those up to a depth. The winner of a pixel is the nearest of, for each radius, the
-//! nearest point of the square window of that radius, if it lies within that depth. Windows are computed row by row:
-//! first along rows, for all radii, then across rows. Depths are compared as 32-bit numbers, and the numbers of points
-//! decide ties.
+//! A buffer contains the nearest point per pixel, whatever its radius. Radii never increase with depth, so
+//! the points of at least radius `r` are those up to a depth. The winner of a pixel is the nearest of, for
+//! each radius, the nearest point of the square window of that radius, if it lies within that depth. Windows
+//! are computed row by row: first along rows, for all radii, then across rows. Depths are compared as 32-bit
+//! numbers, and the numbers of points decide ties.
 
 use pulp::{Simd, WithSimd};
 
@@ -41,8 +41,8 @@ struct Fold {
 pub(super) struct VisibleRow {
     /// Infinite where no point is visible.
     nearest: Row,
-    /// All bits are set where a point is visible. In memory, so that lookups need no branch: whether a pixel is empty is
-    /// hard to predict.
+    /// All bits are set where a point is visible. In memory, so that lookups need no branch: whether a pixel
+    /// is empty is hard to predict.
     mask: Vec<u32>,
 }
 
@@ -140,8 +140,8 @@ impl Fold {
     /// Computes the windows along a row of cells with `pad` cells of padding on both sides.
     #[inline(always)]
     fn fold(&mut self, keys: &[u64], pad: usize, reaches: &[Reach], scratch: &mut [Row; 2]) {
-        // The window of radius 0 is the row; larger ones grow from smaller ones. Place `i` of a window row of radius
-        // `r` is the cell `i + r`.
+        // The window of radius 0 is the row; larger ones grow from smaller ones. Place `i` of a window row of
+        // radius `r` is the cell `i + r`.
         let [window, wider] = scratch;
         window.depth_m.clear();
         window.depth_m.extend(keys.iter().map(|key| depth_m(*key)));
@@ -177,7 +177,8 @@ impl VisibleRow {
         &self.nearest.depth_m
     }
 
-    /// Returns the number of the point in a column, 0 if there is none, and whether there is one: all bits or none.
+    /// Returns the number of the point in a column, 0 if there is none, and whether there is one: all bits or
+    /// none.
     #[inline(always)]
     pub(super) fn number(&self, column: usize) -> (u32, u32) {
         (self.nearest.number[column], self.mask[column])
@@ -192,7 +193,8 @@ impl Row {
     }
 }
 
-/// Widens windows by `step` on both sides; `gap`: whether the old windows that far apart leave one out between them.
+/// Widens windows by `step` on both sides; `gap`: whether the old windows that far apart leave one out
+/// between them.
 #[inline(always)]
 fn widen(window: &Row, step: usize, gap: bool, wider: &mut Row) {
     let count = window.depth_m.len() - 2 * step;
@@ -206,7 +208,8 @@ fn widen(window: &Row, step: usize, gap: bool, wider: &mut Row) {
     lower(wider, window, 2 * step, f32::INFINITY);
 }
 
-/// Replaces points of `nearest` by those of `other`, `shift` places further, which are nearer and within `reach_m`.
+/// Replaces points of `nearest` by those of `other`, `shift` places further, which are nearer and within
+/// `reach_m`.
 #[inline(always)]
 #[allow(clippy::needless_range_loop)] // loops over lanes: this form vectorizes
 fn lower(nearest: &mut Row, other: &Row, shift: usize, reach_m: f32) {

@@ -1,7 +1,7 @@
 //! Footprints: where points may fall in a window, computed from bounds of them.
 //!
-//! A footprint is a rectangle of cells and a depth: every point falls into the rectangle, or outside the window, and is
-//! not nearer. Bounds are widened by more than the rounding errors of the projection.
+//! A footprint is a rectangle of cells and a depth: every point falls into the rectangle, or outside the
+//! window, and is not nearer. Bounds are widened by more than the rounding errors of the projection.
 
 use super::packed::{BoundsLanes, LANES};
 use super::window::Window;
@@ -87,7 +87,8 @@ impl Footprints {
             let reach =
                 (reach + 2.0 * (self.error[1] + down.abs() * self.error[2])) / nearest_m + PIXEL_MARGIN;
             let (top, bottom) = ((down - reach).floor(), (down + reach).floor());
-            // Of something near, nothing is known but its depth. Of nothing, whose bounds are NaN, not even that.
+            // Of something near, nothing is known but its depth. Of nothing, whose bounds are NaN, not even
+            // that.
             let near = nearest_m < MIN_DEPTH_M;
             let drawn = (farthest_m >= Z_NEAR_M) & (nearest_m <= self.z_far_m);
             let [left, top] = [left - self.origin[0], top - self.origin[1]];

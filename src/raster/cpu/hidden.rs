@@ -1,8 +1,8 @@
 //! What is already drawn hides points: exact occlusion culling.
 //!
-//! Points are hidden if something nearer than all of them was drawn wherever they may be seen. There are two tests: whether
-//! each cell of their footprint has a nearer point, whose square covers theirs; and whether each pixel that their squares
-//! may reach is covered by the square of some nearer point, tile by tile.
+//! Points are hidden if something nearer than all of them was drawn wherever they may be seen. There are two
+//! tests: whether each cell of their footprint has a nearer point, whose square covers theirs; and whether
+//! each pixel that their squares may reach is covered by the square of some nearer point, tile by tile.
 
 use super::footprint::Footprint;
 use super::window::{Layer, TILE, Window, depth_m};
@@ -27,8 +27,8 @@ impl Layer {
         true
     }
 
-    /// Returns whether every pixel that squares of `radius` around the cells of a footprint reach is covered by a
-    /// nearer square.
+    /// Returns whether every pixel that squares of `radius` around the cells of a footprint reach is covered
+    /// by a nearer square.
     #[inline(always)]
     pub(super) fn covers(&mut self, footprint: &Footprint, radius: u32, window: &Window) -> bool {
         let size = [window.stride() as u32, window.height() as u32];
@@ -53,8 +53,9 @@ impl Layer {
     }
 }
 
-/// Returns an upper bound of the depth of all pixels of the tile that begins with a cell, meters, if points have a radius
-/// of at least 1: the nearest point of 2x2 cells covers all four. Infinite for a tile across the window's border.
+/// Returns an upper bound of the depth of all pixels of the tile that begins with a cell, meters, if points
+/// have a radius of at least 1: the nearest point of 2x2 cells covers all four. Infinite for a tile across
+/// the window's border.
 #[inline(always)]
 fn covered_m(keys: &[u64], window: &Window, [column, row]: [usize; 2]) -> f32 {
     if column + TILE > window.stride() || row + TILE > window.height() {

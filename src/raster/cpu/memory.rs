@@ -1,5 +1,5 @@
-//! Large arrays in huge pages, where the system has them: random access to gigabytes in pages of 4 KiB waits for the
-//! translation of addresses.
+//! Large arrays in huge pages, where the system has them: random access to gigabytes in pages of 4 KiB waits
+//! for the translation of addresses.
 
 use std::ops::{Deref, DerefMut};
 

@@ -1,12 +1,13 @@
 //! The rasterizer for processors: vector code and threads, without a driver.
 //!
 //! # How it works
-//! Points are stored in blocks, coordinate by coordinate (`packed`), in huge pages (`memory`). A frame is cut into row
-//! strips (`strips`), which are rendered independently of each other (`task`): a thread finds where the blocks of a strip
-//! may fall (`footprint`), tests them and then their groups against what is already drawn (`hidden`) and draws the others
-//! nearest first into visibility buffers (`blocks`, `project`, `window`), finds the visible point of each pixel (`dilate`)
-//! and writes the maps (`resolve`). Each point draws only its own pixel, as in the compute rasterizer: the least of 64-bit
-//! keys, point by point. The loops over pixels compare depths first, and numbers of points on ties, both of 32 bits.
+//! Points are stored in blocks, coordinate by coordinate (`packed`), in huge pages (`memory`). A frame is cut
+//! into row strips (`strips`), which are rendered independently of each other (`task`): a thread finds where
+//! the blocks of a strip may fall (`footprint`), tests them and then their groups against what is already
+//! drawn (`hidden`) and draws the others nearest first into visibility buffers (`blocks`, `project`,
+//! `window`), finds the visible point of each pixel (`dilate`) and writes the maps (`resolve`). Each point
+//! draws only its own pixel, as in the compute rasterizer: the least of 64-bit keys, point by point. The
+//! loops over pixels compare depths first, and numbers of points on ties, both of 32 bits.
 
 mod blocks;
 mod dilate;

@@ -14,13 +14,14 @@ pub(super) const GROUPS: usize = CULL_BLOCK / GROUP;
 /// Bounds that are projected in one loop: of the groups of a block, or of as many blocks.
 pub(super) const LANES: usize = GROUPS;
 
-/// Positions of the points of a block, group by group and coordinate by coordinate, in the order of [`ChunkedCloud`].
-/// Meters; padded with NaN, which is never drawn.
+/// Positions of the points of a block, group by group and coordinate by coordinate, in the order of
+/// [`ChunkedCloud`]. Meters; padded with NaN, which is never drawn.
 #[repr(transparent)]
 #[derive(Clone, Copy, Pod, Zeroable)]
 pub(super) struct Positions(pub(super) [[[f32; GROUP]; 3]; GROUPS]);
 
-/// Bounds of the finite positions of sets of points, meters: minimum x, y, z, maximum x, y, z. NaN if there are none.
+/// Bounds of the finite positions of sets of points, meters: minimum x, y, z, maximum x, y, z. NaN if there
+/// are none.
 #[repr(transparent)]
 #[derive(Clone, Copy, Pod, Zeroable)]
 pub(super) struct BoundsLanes(pub(super) [[f32; LANES]; 6]);

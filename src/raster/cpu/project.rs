@@ -1,7 +1,7 @@
 //! Projection of points into visibility buffers.
 //!
-//! Operations and their order are those of `project` in `reference.rs`, many points at a time: plain loops over
-//! arrays, which the compiler vectorizes under `pulp`'s dispatch.
+//! Operations and their order are those of `project` in `reference.rs`, many points at a time: plain loops
+//! over arrays, which the compiler vectorizes under `pulp`'s dispatch.
 
 use super::packed::GROUP;
 use super::window::{Layer, Window, key};
@@ -94,8 +94,8 @@ impl Default for Cells {
 }
 
 impl Cells {
-    /// Numbers the points: `first` plus the index of each in the cloud, which is its place if there is no `index`.
-    /// `group`: number of the group in the cloud.
+    /// Numbers the points: `first` plus the index of each in the cloud, which is its place if there is no
+    /// `index`. `group`: number of the group in the cloud.
     #[inline(always)]
     #[allow(clippy::needless_range_loop)] // loops over lanes: this form vectorizes
     pub(super) fn number(&mut self, first: u32, group: usize, index: Option<&[u32; GROUP]>) {
@@ -106,7 +106,8 @@ impl Cells {
         }
     }
 
-    /// Draws the points: the least key of each cell remains. Without branches: whether a point wins is hard to predict.
+    /// Draws the points: the least key of each cell remains. Without branches: whether a point wins is hard
+    /// to predict.
     #[inline(always)]
     pub(super) fn put(&self, layer: &mut Layer) {
         let keys = &mut layer.keys[..];

@@ -99,7 +99,8 @@ impl Resolve<'_> {
         let nearest = self.sampling.nearest[0][row] as usize;
         let [first, last] = self.sampling.taps.as_ref().map_or([nearest; 2], |[rows, _]| rows[row].at);
         let Window { rows: [top, _], pad, .. } = self.strip.window;
-        // Rows of cells whose squares may reach the pixels; they are counted from `pad` rows above the window.
+        // Rows of cells whose squares may reach the pixels; they are counted from `pad` rows above the
+        // window.
         let (first, end) = (first as u32 - top, last as u32 - top + 2 * pad + 1);
         first < self.forked.end && end > self.forked.start
     }
@@ -175,7 +176,8 @@ impl Resolve<'_> {
         self.numbering.prefetch_rgb_class(visible.number(column).0);
     }
 
-    /// Interpolates the colors of a row between columns, as the first pass of OpenCV's fixed-point arithmetic.
+    /// Interpolates the colors of a row between columns, as the first pass of OpenCV's fixed-point
+    /// arithmetic.
     fn across(&self, visible: &VisibleRow, columns: &[Tap], colors: &mut [[i32; 3]]) {
         let rgb = |column: usize| {
             let (number, mask) = visible.number(column);

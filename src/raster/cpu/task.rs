@@ -129,9 +129,9 @@ impl Task<'_> {
         (draws, items)
     }
 
-    /// Divides blocks into those that color and geometry share, which are only to be drawn into the layer of the geometry,
-    /// and the others, in the same order. Returns the rows of the window, padding included, in which the layers may then
-    /// differ, and the number of shared blocks.
+    /// Divides blocks into those that color and geometry share, which are only to be drawn into the layer of
+    /// the geometry, and the others, in the same order. Returns the rows of the window, padding included, in
+    /// which the layers may then differ, and the number of shared blocks.
     fn fork(&self, items: &mut [Item]) -> (Range<u32>, usize) {
         let shared = self.layers.shared();
         if shared == *self.layers {
@@ -147,8 +147,8 @@ impl Task<'_> {
         (first..end, common)
     }
 
-    /// Draws blocks in order. Each is tested as a whole, then group by group once their bounds are in the cache, and drawn
-    /// after the next one was tested, while its points are loaded.
+    /// Draws blocks in order. Each is tested as a whole, then group by group once their bounds are in the
+    /// cache, and drawn after the next one was tested, while its points are loaded.
     fn project(&self, draws: &[StripDraw<'_>], items: &[Item], layers: &mut [Layer]) {
         let window = &self.strip.window;
         let mut items = items.iter();

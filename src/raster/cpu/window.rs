@@ -13,8 +13,8 @@ pub(super) struct Window {
     pub(super) pad: u32,
 }
 
-/// Cells before the first row. Cell 0 belongs to no pixel: its key is below all others, so that points outside the
-/// window can be drawn there without effect.
+/// Cells before the first row. Cell 0 belongs to no pixel: its key is below all others, so that points
+/// outside the window can be drawn there without effect.
 const LEAD: usize = 16;
 
 impl Window {
@@ -45,8 +45,8 @@ pub(super) const TILE: usize = 8;
 /// How far each tile of a window is covered.
 #[derive(Clone, Default)]
 pub(super) struct Tiles {
-    /// Depth of the farthest square seen in a tile, meters; infinite if a pixel may show something farther. What is drawn
-    /// later may be nearer.
+    /// Depth of the farthest square seen in a tile, meters; infinite if a pixel may show something farther.
+    /// What is drawn later may be nearer.
     pub(super) depth_m: Vec<f32>,
     /// Number of tiles in a row.
     pub(super) stride: usize,
@@ -64,8 +64,8 @@ pub(super) struct Layer {
 /// Key of an empty cell: infinitely far.
 const EMPTY: u64 = key(f32::INFINITY, u32::MAX);
 
-/// Returns the key of a point: the least one is that of the nearest point, of several the one with the least number.
-/// The depth must be positive: then its bits are ordered like its values.
+/// Returns the key of a point: the least one is that of the nearest point, of several the one with the least
+/// number. The depth must be positive: then its bits are ordered like its values.
 #[inline(always)]
 pub(super) const fn key(depth_m: f32, number: u32) -> u64 {
     (depth_m.to_bits() as u64) << 32 | number as u64
@@ -98,8 +98,9 @@ impl Layer {
         self.keys[0] = 0;
     }
 
-    /// Copies what another layer has in some rows of a window, and in those around them from which squares reach the same
-    /// pixels, or the pixels next to them, which color is interpolated with. Elsewhere, the layer is undefined.
+    /// Copies what another layer has in some rows of a window, and in those around them from which squares
+    /// reach the same pixels, or the pixels next to them, which color is interpolated with. Elsewhere, the
+    /// layer is undefined.
     pub(super) fn copy_rows(&mut self, from: &Self, window: &Window, rows: &Range<u32>) {
         self.keys.resize(from.keys.len(), EMPTY);
         self.keys[0] = 0;

@@ -20,7 +20,8 @@ use super::{
 use crate::cloud::Bounds;
 use crate::gpu::{Commands, Device, GpuError};
 
-/// Partitioning of a [`GraphicsRasterizer`]'s work; the default uses the device's limits. Results never depend on it.
+/// Partitioning of a [`GraphicsRasterizer`]'s work; the default uses the device's limits. Results never
+/// depend on it.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct GraphicsRasterizerDesc {
     /// Maximum number of points per buffer.

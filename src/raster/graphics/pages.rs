@@ -1,8 +1,9 @@
-//! Resident clouds of the graphics-pipeline rasterizer: all points of a scene, concatenated in a few large buffers.
+//! Resident clouds of the graphics-pipeline rasterizer: all points of a scene, concatenated in a few large
+//! buffers.
 //!
-//! A page is a buffer as large as a shader can bind. A cloud that crosses a page boundary has a slice in each page.
-//! A piece is a slice drawn with the pose of one instance. Pieces are drawn in the order of their points, so the
-//! smallest number still wins ties.
+//! A page is a buffer as large as a shader can bind. A cloud that crosses a page boundary has a slice in each
+//! page. A piece is a slice drawn with the pose of one instance. Pieces are drawn in the order of their
+//! points, so the smallest number still wins ties.
 
 use std::sync::Arc;
 
@@ -78,7 +79,8 @@ pub(super) struct Pages {
 }
 
 impl Pages {
-    /// Uploads all clouds. Pages have at most `page_points` points, or fewer if the device's limits require it.
+    /// Uploads all clouds. Pages have at most `page_points` points, or fewer if the device's limits require
+    /// it.
     pub(super) fn upload(
         device: &Arc<Device>,
         commands: &mut Commands,
@@ -130,7 +132,8 @@ impl Pages {
         (pieces, table)
     }
 
-    /// Returns the pages that the resolve shader must bind: all drawn ones if colors are requested, else only one.
+    /// Returns the pages that the resolve shader must bind: all drawn ones if colors are requested, else only
+    /// one.
     pub(super) fn used(table: &[Piece], maps: MapSet) -> Vec<u32> {
         let mut used: Vec<u32> = table.iter().map(|piece| piece.page).collect();
         used.sort_unstable();

@@ -1,9 +1,9 @@
 //! Visibility buffer to maps: a compute shader resolves the winner of each pixel (`glsl/resolve.comp`).
 //!
 //! # How it works
-//! A pixel contains a point within a page and a piece; the table of pieces maps them to the job's numbering. Only
-//! one page can be bound at a time, so each drawn page has a dispatch; the first one also writes the planes that
-//! need no page. All planes are concatenated in one buffer.
+//! A pixel contains a point within a page and a piece; the table of pieces maps them to the job's numbering.
+//! Only one page can be bound at a time, so each drawn page has a dispatch; the first one also writes the
+//! planes that need no page. All planes are concatenated in one buffer.
 
 use std::sync::Arc;
 

@@ -1,9 +1,11 @@
-//! Points to visibility buffer: the graphics pipeline draws squares with a depth test (`glsl/splat.vert`, `.frag`).
+//! Points to visibility buffer: the graphics pipeline draws squares with a depth test (`glsl/splat.vert`,
+//! `.frag`).
 //!
 //! # How it works
 //! Every point snaps to the center of its pixel, so that a square of odd size covers whole pixels. Depth is
-//! `z·2⁻³⁰`, exact in `f32`; the test is LESS and primitives are in order, so the smallest index wins ties. Points
-//! centered outside the viewport may be discarded, so the viewport exceeds the image by the maximum radius.
+//! `z·2⁻³⁰`, exact in `f32`; the test is LESS and primitives are in order, so the smallest index wins ties.
+//! Points centered outside the viewport may be discarded, so the viewport exceeds the image by the maximum
+//! radius.
 
 use std::sync::Arc;
 

@@ -50,8 +50,8 @@ impl Cells {
         }
     }
 
-    /// Adds the colored points of a sweep with global index `sweep`. Counts them, and those without a color. Returns
-    /// the tracks that received a point.
+    /// Adds the colored points of a sweep with global index `sweep`. Counts them, and those without a color.
+    /// Returns the tracks that received a point.
     pub(super) fn add(
         &mut self,
         log: usize,

@@ -72,7 +72,8 @@ impl Unfinished {
         serde_json::from_slice::<Checkpoint<serde_json::Value, BuildState>>(&text).ok().map(|c| c.done.frames)
     }
 
-    /// Removes the folder of a build that was killed after it had written the skeleton, if it cannot be resumed.
+    /// Removes the folder of a build that was killed after it had written the skeleton, if it cannot be
+    /// resumed.
     pub(super) fn remove_leftovers(out: &Path) {
         let path = work_of_whole(out);
         if path.is_dir() && !path.join(FILE).exists() {
@@ -84,8 +85,8 @@ impl Unfinished {
     /// Opens the folder for `out`: with the state of its checkpoint if `resume` is set, otherwise emptied.
     ///
     /// # Errors
-    /// Fails if another process uses the folder, if `resume` finds a build with another plan, or if a file cannot be
-    /// read or written.
+    /// Fails if another process uses the folder, if `resume` finds a build with another plan, or if a file
+    /// cannot be read or written.
     pub(super) fn open(out: &Path, plan: Plan, resume: bool) -> Result<(Self, BuildState), FileError> {
         let mut work = WorkFolder::open(work_of_whole(out), out)?;
         let has_checkpoint = work.path().join(FILE).is_file();
@@ -139,7 +140,8 @@ impl Unfinished {
         self.work.is_kept()
     }
 
-    /// Writes the points, then the checkpoint. A kill at any moment leaves either the new or the previous checkpoint.
+    /// Writes the points, then the checkpoint. A kill at any moment leaves either the new or the previous
+    /// checkpoint.
     pub(super) fn save(
         &mut self,
         done: &mut BuildState,

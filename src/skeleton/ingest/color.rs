@@ -76,8 +76,8 @@ struct Workspace {
 }
 
 impl Workspace {
-    /// Colors points from views, each with its projection. All points are looked at in one image before the next, of
-    /// which they need a small piece.
+    /// Colors points from views, each with its projection. All points are looked at in one image before the
+    /// next, of which they need a small piece.
     fn color(&mut self, points: &mut [Candidate], views: &[(&ColorView, Projector)], hidden: Hidden) {
         let Self { columns, pixels, looks, counts } = self;
         let positions = points.iter().map(|point| point.position);
@@ -137,7 +137,8 @@ mod tests {
     use crate::geometry::{Camera, View};
     use crate::skeleton::OcclusionGrid;
 
-    /// A camera at the origin that looks along z and sees one color; `wall_m`: depth of a wall that fills its image.
+    /// A camera at the origin that looks along z and sees one color; `wall_m`: depth of a wall that fills its
+    /// image.
     fn view(grey: u8, wall_m: Option<f64>) -> ColorView {
         let camera =
             Camera::new("c", 160, 90, [[100.0, 0.0, 80.0], [0.0, 100.0, 45.0], [0.0, 0.0, 1.0]]).unwrap();

@@ -1,11 +1,12 @@
 //! Building of a skeleton from recorded logs.
 //!
 //! # How it works
-//! [`build()`] processes the frames of its logs in order. `stream` reads and colors them within a window that moves
-//! along a log. `cells` collects their points by background chunk and by track, and `sums` accumulates them per
-//! voxel. `runs` stores these sums on disk. A `checkpoint` every few frames records the progress. At the end, cells
-//! are merged one by one into the skeleton. Memory does not grow with the length of the logs (without voxels: except
-//! for a cell's points). An interrupted build resumes from its last checkpoint and gives the same bytes.
+//! [`build()`] processes the frames of its logs in order. `stream` reads and colors them within a window that
+//! moves along a log. `cells` collects their points by background chunk and by track, and `sums` accumulates
+//! them per voxel. `runs` stores these sums on disk. A `checkpoint` every few frames records the progress. At
+//! the end, cells are merged one by one into the skeleton. Memory does not grow with the length of the logs
+//! (without voxels: except for a cell's points). An interrupted build resumes from its last checkpoint and
+//! gives the same bytes.
 
 mod builder;
 mod cells;
@@ -31,14 +32,14 @@ use crate::dataset::LogReader;
 use crate::files::Inputs;
 use crate::files::input::is_taken;
 
-/// Builds a skeleton from some frames of one or more logs of the same location. The result depends only on the input
-/// and the options, not on the number of threads or interruptions. During the build there is a folder named `out`
-/// with the suffix `.partial`.
+/// Builds a skeleton from some frames of one or more logs of the same location. The result depends only on
+/// the input and the options, not on the number of threads or interruptions. During the build there is a
+/// folder named `out` with the suffix `.partial`.
 ///
 /// # Errors
-/// Fails if a log or file cannot be read or written, if a frame does not exist, if the logs have different locations
-/// or one occurs twice, or if there is no sweep or no colored point. After the first checkpoint, completed frames are
-/// retained ([`BuildError::Interrupted`]).
+/// Fails if a log or file cannot be read or written, if a frame does not exist, if the logs have different
+/// locations or one occurs twice, or if there is no sweep or no colored point. After the first checkpoint,
+/// completed frames are retained ([`BuildError::Interrupted`]).
 pub fn build(
     out: &Path,
     inputs: &[BuildInput],
@@ -74,8 +75,8 @@ pub fn build(
 /// Opens the skeleton of a whole log. If there is no such folder, builds it first, with default options.
 ///
 /// # Errors
-/// Fails if the skeleton is damaged or of another recording, even of one with the same name. Returns any error of
-/// [`build()`].
+/// Fails if the skeleton is damaged or of another recording, even of one with the same name. Returns any
+/// error of [`build()`].
 pub fn open_or_build(path: &Path, reader: &dyn LogReader) -> Result<Skeleton, BuildError> {
     if !is_free(path) {
         let skeleton = Skeleton::open_for(path, reader.recording())?;

@@ -1,10 +1,10 @@
 //! Intermediate files with the sums of some frames, cell by cell.
 //!
 //! # How it works
-//! When enough points are in memory, their cells are written as a *run*: a file of sums and its index. Runs are
-//! immutable. When the list ends with [`FAN_IN`] runs of one level, they are merged into one of the next level, as in
-//! log-structured merge trees. There are thus few runs, and each point is rewritten few times. Merging processes a
-//! few cells at a time, so its memory use does not depend on the length of the log.
+//! When enough points are in memory, their cells are written as a *run*: a file of sums and its index. Runs
+//! are immutable. When the list ends with [`FAN_IN`] runs of one level, they are merged into one of the next
+//! level, as in log-structured merge trees. There are thus few runs, and each point is rewritten few times.
+//! Merging processes a few cells at a time, so its memory use does not depend on the length of the log.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs::File;
@@ -125,7 +125,8 @@ impl Runs {
         cells.into_iter().collect()
     }
 
-    /// Passes the merged sums of each cell to `take`, in the order of the list. Reads a few cells in parallel.
+    /// Passes the merged sums of each cell to `take`, in the order of the list. Reads a few cells in
+    /// parallel.
     ///
     /// # Errors
     /// Fails if a run cannot be read or is damaged. Returns any error of `take`.
@@ -136,7 +137,8 @@ impl Runs {
     ) -> Result<(), E> {
         const AT_ONCE: usize = 4;
         let of = |cell: &Cell| {
-            // Merges one run after the other: a cell is in memory at most three times, for any number of runs.
+            // Merges one run after the other: a cell is in memory at most three times, for any number of
+            // runs.
             let add = |sums, run: &Run| Ok::<_, FileError>(merge_two(sums, run.read(*cell)?));
             Ok((*cell, self.0.iter().try_fold(Vec::new(), add)?))
         };
@@ -148,8 +150,8 @@ impl Runs {
     }
 }
 
-/// Appends a run to the list and merges runs if there are too many of a level. Returns the new list; the files of
-/// merged runs are not deleted.
+/// Appends a run to the list and merges runs if there are too many of a level. Returns the new list; the
+/// files of merged runs are not deleted.
 ///
 /// # Errors
 /// Fails if a file cannot be read or written.

@@ -1,9 +1,9 @@
 //! Sequential frames of a log with colored points.
 //!
 //! # How it works
-//! A point can take its color from images of some frames before and after its own. Occlusion in such an image is
-//! determined by the sweeps around that image. Sweeps and images are therefore retained in a window that moves along
-//! the log, so memory does not grow with the log's length.
+//! A point can take its color from images of some frames before and after its own. Occlusion in such an image
+//! is determined by the sweeps around that image. Sweeps and images are therefore retained in a window that
+//! moves along the log, so memory does not grow with the log's length.
 
 use std::collections::VecDeque;
 
@@ -57,8 +57,8 @@ impl<'a> Stream<'a> {
         Ok(Self { reader: input.reader, log, frames, trajectories, options, has_images })
     }
 
-    /// Returns two half widths in frames: of the images that may color a point, and of the sweeps that determine
-    /// occlusion in an image.
+    /// Returns two half widths in frames: of the images that may color a point, and of the sweeps that
+    /// determine occlusion in an image.
     fn windows(&self) -> [usize; 2] {
         match (self.has_images, self.options.occlusion_test) {
             (false, _) => [0, 0],
@@ -70,8 +70,8 @@ impl<'a> Stream<'a> {
     /// Emits the frames from index `first` on, in order. The emitted frames do not depend on `first`.
     ///
     /// # Errors
-    /// Fails if sweeps or images cannot be read, or if `progress` requests a stop, before each frame that is read. Returns any
-    /// error of `emit`.
+    /// Fails if sweeps or images cannot be read, or if `progress` requests a stop, before each frame that is
+    /// read. Returns any error of `emit`.
     pub(super) fn run(
         &self,
         first: usize,
@@ -143,7 +143,8 @@ impl<'a> Stream<'a> {
         Ok(())
     }
 
-    /// Returns the content of a file; `None` if it is damaged, which is reported, and the log's policy is to skip it.
+    /// Returns the content of a file; `None` if it is damaged, which is reported, and the log's policy is to
+    /// skip it.
     fn unless_damaged<T>(
         &self,
         read: Result<T, DatasetError>,
@@ -177,8 +178,8 @@ impl<'a> Stream<'a> {
             .collect()
     }
 
-    /// Returns the images of a frame, except those that the previous frame also has (images rarer than sweeps) if its views
-    /// also color this frame.
+    /// Returns the images of a frame, except those that the previous frame also has (images rarer than
+    /// sweeps) if its views also color this frame.
     fn new_records(&self, frame: usize) -> Vec<&'a ImageRecord> {
         let before = frame.checked_sub(1).filter(|_| self.options.color_window > 0);
         let before = before.map_or_else(Vec::new, |before| self.records(before));

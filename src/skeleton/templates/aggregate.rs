@@ -11,7 +11,8 @@ use crate::cloud::{Bounds, Point};
 use crate::dataset::Class;
 use crate::skeleton::{Checksum, Template};
 
-/// Superimposes the members of a kind's clusters in their mean box. Returns no cloud if that gives too few points.
+/// Superimposes the members of a kind's clusters in their mean box. Returns no cloud if that gives too few
+/// points.
 pub(super) fn aggregate(
     kind: TemplateKind,
     clusters: &[Cluster],
@@ -65,7 +66,8 @@ pub(super) fn cluster_report(cluster: &Cluster, instances: &[Instance], used: bo
     }
 }
 
-/// Scales an actor's points along each axis to a box; mirrored kinds have their right side reflected to the left.
+/// Scales an actor's points along each axis to a box; mirrored kinds have their right side reflected to the
+/// left.
 fn in_box(actor: &Instance, size_m: DVec3, kind: TemplateKind, mirror: bool) -> Vec<Point> {
     let scale = size_m / actor.size_m;
     let place = |point: &Point| {
@@ -81,8 +83,8 @@ fn in_box(actor: &Instance, size_m: DVec3, kind: TemplateKind, mirror: bool) -> 
 /// Minimum share of a template's target points for an actor to count as well observed.
 const SEEN_WELL: f64 = 0.05;
 
-/// Returns all actors' points. With enough well-observed actors, points without points of another actor nearby are
-/// dropped.
+/// Returns all actors' points. With enough well-observed actors, points without points of another actor
+/// nearby are dropped.
 fn agreed(actors: &[Vec<Point>], spacing_m: f64, options: &TemplateOptions) -> Vec<Point> {
     let well = SEEN_WELL * options.target_points as f64;
     let seen_well = actors.iter().filter(|points| points.len() as f64 >= well).count();
@@ -111,8 +113,9 @@ fn agreed(actors: &[Vec<Point>], spacing_m: f64, options: &TemplateOptions) -> V
     actors.iter().enumerate().flat_map(kept).collect()
 }
 
-/// Returns the points with enough near neighbors, densest first, so that of diverging surfaces the one shared by most
-/// actors is taken. If all points are sparse, the distance limit is twice the median neighbor distance.
+/// Returns the points with enough near neighbors, densest first, so that of diverging surfaces the one shared
+/// by most actors is taken. If all points are sparse, the distance limit is twice the median neighbor
+/// distance.
 fn without_outliers(points: &[Point], mirror: bool, spacing_m: f64, options: &TemplateOptions) -> Vec<Point> {
     let distances = neighbour_distances_m(points, mirror, options.neighbours);
     let mut sorted = distances.clone();
@@ -142,8 +145,8 @@ fn neighbour_distances_m(points: &[Point], mirror: bool, count: usize) -> Vec<f6
     points.par_iter().map(distance).collect()
 }
 
-/// Thins to an even density. Mirrored kinds get their other side back: points within half the spacing of the center
-/// plane are moved onto it, so that no two are too near.
+/// Thins to an even density. Mirrored kinds get their other side back: points within half the spacing of the
+/// center plane are moved onto it, so that no two are too near.
 fn thinned(ranked: &[Point], mirror: bool, spacing_m: f64) -> Vec<Point> {
     let in_middle = |p: &Point| mirror && f64::from(p.position[1]) < spacing_m / 2.0;
     let place = |p: &Point| {

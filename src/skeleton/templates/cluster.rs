@@ -16,8 +16,8 @@ pub(super) struct Cluster {
     pub(super) members: Vec<usize>,
 }
 
-/// Clusters actors by category family and size. The kind of a cluster follows from its mean size. Sorted by kind,
-/// then size.
+/// Clusters actors by category family and size. The kind of a cluster follows from its mean size. Sorted by
+/// kind, then size.
 pub(super) fn clusters(actors: &[(Family, DVec3)], options: &TemplateOptions) -> Vec<Cluster> {
     let mut families: BTreeMap<Family, Vec<usize>> = BTreeMap::new();
     for (index, (family, _)) in actors.iter().enumerate() {

@@ -1,12 +1,13 @@
 use super::{LibraryManifest, TemplateCloud};
 use crate::cloud::Point;
 
-/// A [`TemplateLibrary`](super::TemplateLibrary), written by `cargo run -p pskel-town --example default_templates`.
+/// A [`TemplateLibrary`](super::TemplateLibrary), written by `cargo run -p pskel-town --example
+/// default_templates`.
 const MANIFEST: &str = include_str!("../../../shipped/templates/templates.json");
 const POINTS: &[u8] = include_bytes!("../../../shipped/templates/templates.points");
 
-/// Returns the built-in templates, in the order of kinds: sedan, SUV, pickup or van, pedestrian and bike. Other kinds
-/// vary too much.
+/// Returns the built-in templates, in the order of kinds: sedan, SUV, pickup or van, pedestrian and bike.
+/// Other kinds vary too much.
 ///
 /// # Panics
 /// Never, since a test reads the built-in files.

@@ -19,8 +19,8 @@ pub(super) struct Instance {
     pub(super) size_m: DVec3,
     /// Number of points before thinning.
     pub(super) points_in: usize,
-    /// Points in box coordinates, at least a template's spacing apart, so that long observation gives an actor no
-    /// more weight.
+    /// Points in box coordinates, at least a template's spacing apart, so that long observation gives an
+    /// actor no more weight.
     pub(super) points: Vec<Point>,
 }
 

@@ -51,8 +51,8 @@ impl Instances {
         Ok(manifest.sources.iter().map(source).collect())
     }
 
-    /// Generates a template of every kind with enough points, in the order of kinds. The result depends only on the
-    /// assets, their order and the options.
+    /// Generates a template of every kind with enough points, in the order of kinds. The result depends only
+    /// on the assets, their order and the options.
     pub fn templates(&self) -> (Vec<TemplateCloud>, TemplateReport) {
         let actors: Vec<(Family, DVec3)> = self.instances.iter().map(|i| (i.family, i.size_m)).collect();
         let mut kinds: BTreeMap<TemplateKind, Vec<Cluster>> = BTreeMap::new();
@@ -83,8 +83,8 @@ impl Instances {
         (templates, report)
     }
 
-    /// Retains only the main cluster and returns the others. The main cluster has the most actors, or of equal ones
-    /// the most points. Clusters with enough points for a template take precedence.
+    /// Retains only the main cluster and returns the others. The main cluster has the most actors, or of
+    /// equal ones the most points. Clusters with enough points for a template take precedence.
     fn split_off_main(&self, clusters: &mut Vec<Cluster>) -> Vec<Cluster> {
         let points = |c: &Cluster| c.members.iter().map(|i| self.instances[*i].points.len()).sum::<usize>();
         let rank = |c: &Cluster| (points(c) >= self.options.min_points, c.members.len(), points(c));

@@ -35,8 +35,8 @@ impl TemplateKind {
         ("construction", Self::Construction),
     ];
 
-    /// Returns the kind of template for an actor, by category and box size (length, width, height, meters). `None`
-    /// for categories without templates (cones, barriers ...).
+    /// Returns the kind of template for an actor, by category and box size (length, width, height, meters).
+    /// `None` for categories without templates (cones, barriers ...).
     pub fn of_actor(category: &str, size_m: DVec3) -> Option<Self> {
         Family::of(category).map(|family| family.kind(size_m))
     }
@@ -46,8 +46,8 @@ impl TemplateKind {
         Self::NAMES.iter().find(|(_, kind)| *kind == self).map_or("", |(name, _)| name)
     }
 
-    /// Returns whether the template replaces assets of this kind with few points. Other kinds (trucks, buses ..) vary
-    /// so much that any asset is better than a template.
+    /// Returns whether the template replaces assets of this kind with few points. Other kinds (trucks, buses
+    /// ..) vary so much that any asset is better than a template.
     pub(crate) fn replaces_small_assets(self) -> bool {
         matches!(self, Self::Sedan | Self::Suv | Self::Pickup | Self::Pedestrian | Self::Bike)
     }

@@ -1,4 +1,5 @@
-//! Template library: a folder with `templates.json` and `templates.points`, in the layout of a skeleton's points.
+//! Template library: a folder with `templates.json` and `templates.points`, in the layout of a skeleton's
+//! points.
 
 use std::io::Write;
 use std::path::Path;
@@ -89,8 +90,8 @@ impl TemplateLibrary {
     /// Writes the folder; `more` may add files to it. An existing library is replaced.
     ///
     /// # Errors
-    /// Returns any error of `more`. Fails if a file cannot be written or if the target holds anything but a library.
-    /// Partial output is removed.
+    /// Returns any error of `more`. Fails if a file cannot be written or if the target holds anything but a
+    /// library. Partial output is removed.
     pub fn write<E: From<FileError>>(
         &self,
         target: WholeFolder,
@@ -108,7 +109,8 @@ impl TemplateLibrary {
         })
     }
 
-    /// Returns a checksum of the templates of a library, which have those of their points, as 16 hexadecimal digits.
+    /// Returns a checksum of the templates of a library, which have those of their points, as 16 hexadecimal
+    /// digits.
     ///
     /// # Errors
     /// Fails if the manifest is missing or damaged, or has another format or version.

@@ -1,10 +1,11 @@
 //! Category templates: substitute clouds for actors with few points of their own.
 //!
 //! # How it works
-//! [`Instances`] collects the assets of any number of skeletons. `cluster` groups them by category and box size. Each
-//! cluster gets its kind by the rules that rendering uses ([`TemplateKind::of_actor`]). `aggregate` and `thin`
-//! superimpose the points of a kind in one box, mirror them, remove outliers and thin them. The result is written to
-//! a skeleton or to a [`TemplateLibrary`] on disk. [`default_templates`] are built in.
+//! [`Instances`] collects the assets of any number of skeletons. `cluster` groups them by category and box
+//! size. Each cluster gets its kind by the rules that rendering uses ([`TemplateKind::of_actor`]).
+//! `aggregate` and `thin` superimpose the points of a kind in one box, mirror them, remove outliers and thin
+//! them. The result is written to a skeleton or to a [`TemplateLibrary`] on disk. [`default_templates`] are
+//! built in.
 
 mod aggregate;
 mod cluster;

@@ -9,8 +9,8 @@ use crate::cloud::Bounds;
 /// Options for generating templates.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct TemplateOptions {
-    /// Clusters are split until their members' sizes have at most this relative deviation (root mean square along
-    /// each axis) ...
+    /// Clusters are split until their members' sizes have at most this relative deviation (root mean square
+    /// along each axis) ...
     pub size_spread: f64,
     /// ... or a category has this many clusters.
     pub max_clusters: usize,
@@ -24,8 +24,9 @@ pub struct TemplateOptions {
     pub neighbours: usize,
     /// ... within this many spacings.
     pub neighbour_spacings: f64,
-    /// Minimum number of well-observed actors of a kind from which a point requires points of another actor nearby.
-    /// Features of a single actor (a ladder, a branch beside it) are not part of the kind. `None` retains them.
+    /// Minimum number of well-observed actors of a kind from which a point requires points of another actor
+    /// nearby. Features of a single actor (a ladder, a branch beside it) are not part of the kind. `None`
+    /// retains them.
     pub agree_from_actors: Option<usize>,
 }
 
@@ -45,8 +46,9 @@ impl Default for TemplateOptions {
 }
 
 impl TemplateOptions {
-    /// Returns the distance between the points of a template, meters, at which `target_points` cover its box. Points
-    /// packed at random with a minimum distance `s` have a density of about `0.7 / s²` per square meter.
+    /// Returns the distance between the points of a template, meters, at which `target_points` cover its box.
+    /// Points packed at random with a minimum distance `s` have a density of about `0.7 / s²` per square
+    /// meter.
     pub fn spacing_m(&self, size_m: DVec3) -> f64 {
         let area_m2 = 2.0 * (size_m.x * size_m.y + size_m.y * size_m.z + size_m.z * size_m.x);
         (0.7 * area_m2 / self.target_points.max(1) as f64).sqrt().clamp(0.005, 0.2)
@@ -90,8 +92,8 @@ pub struct TemplateSummary {
 /// Cluster of actors of similar size.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ClusterReport {
-    /// Whether the template uses the cluster. Cars, people and cycles use all clusters. Trucks, buses and the like
-    /// differ more, so only the cluster with the most actors is used.
+    /// Whether the template uses the cluster. Cars, people and cycles use all clusters. Trucks, buses and the
+    /// like differ more, so only the cluster with the most actors is used.
     pub used: bool,
     /// Mean length, width, height, meters.
     pub size: [f64; 3],

@@ -1,8 +1,8 @@
 use rustc_hash::FxHashMap;
 
-/// Returns the indices of points that are at least `spacing_m` apart, ascending (Poisson-disk thinning by dart
-/// throwing). Each point in turn is taken unless a taken point is nearer. Every skipped point has a taken point
-/// within `spacing_m`.
+/// Returns the indices of points that are at least `spacing_m` apart, ascending (Poisson-disk thinning by
+/// dart throwing). Each point in turn is taken unless a taken point is nearer. Every skipped point has a
+/// taken point within `spacing_m`.
 pub fn poisson_thin(points: impl IntoIterator<Item = [f32; 3]>, spacing_m: f64) -> Vec<usize> {
     let mut taken: FxHashMap<[i32; 3], Vec<[f32; 3]>> = FxHashMap::default();
     let mut kept = Vec::new();

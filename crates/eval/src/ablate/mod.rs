@@ -1,9 +1,10 @@
 //! Ablation study of the generator: variants are compared in scenes whose ground truth is known.
 //!
 //! # How it works
-//! `rows` defines the variants and `scene` renders their inputs: in each log the ego changes lanes in a closed loop,
-//! and all variants generate the same steps. `run` generates and scores one variant in a scene, `report` compares the
-//! results over all scenes. An [`Ablation`] writes them to a folder, and reuses results that are in it.
+//! `rows` defines the variants and `scene` renders their inputs: in each log the ego changes lanes in a
+//! closed loop, and all variants generate the same steps. `run` generates and scores one variant in a scene,
+//! `report` compares the results over all scenes. An [`Ablation`] writes them to a folder, and reuses results
+//! that are in it.
 
 mod error;
 mod options;

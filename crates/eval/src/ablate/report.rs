@@ -1,5 +1,5 @@
-//! Results: tables with means and 95 % confidence intervals over scenes, differences from the full generator, and
-//! curves over the horizon.
+//! Results: tables with means and 95 % confidence intervals over scenes, differences from the full generator,
+//! and curves over the horizon.
 
 use std::collections::BTreeMap;
 use std::fmt::Write;

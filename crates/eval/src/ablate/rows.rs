@@ -80,8 +80,8 @@ impl Table {
 const NONE: DroppedConditions =
     DroppedConditions { layout: false, action: false, color: false, depth: false };
 
-/// Returns the variants of some tables, or of all tables if none are given. The first row is the full generator, the
-/// baseline of the others.
+/// Returns the variants of some tables, or of all tables if none are given. The first row is the full
+/// generator, the baseline of the others.
 pub(super) fn rows(networks: &Networks, tables: &[Table], options: &AblateOptions) -> Vec<Row> {
     let mut rows = all_rows(networks, options);
     rows.retain(|row| tables.is_empty() || row.tables.iter().any(|table| tables.contains(table)));

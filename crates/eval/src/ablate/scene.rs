@@ -20,8 +20,8 @@ use crate::{
     MOVING_MPS, PatchClassifier, PatchClassifierError, PatchOptions, PatchTrainer, moving_mask, vehicle_mask,
 };
 
-/// Inputs shared by all variants in a log. In a synthetic log, the ego changes lanes; in a recorded one, of which images exist only
-/// where cameras have been, it follows the log.
+/// Inputs shared by all variants in a log. In a synthetic log, the ego changes lanes; in a recorded one, of
+/// which images exist only where cameras have been, it follows the log.
 pub(super) struct Scene {
     /// Name of the recording.
     pub(super) name: String,
@@ -171,8 +171,8 @@ impl Drive<'_> {
     }
 }
 
-/// Trains classifiers for the first and the second half of the frames, each on the ground-truth images of the other
-/// half. `None` if a half shows no vehicles.
+/// Trains classifiers for the first and the second half of the frames, each on the ground-truth images of the
+/// other half. `None` if a half shows no vehicles.
 fn classifiers(
     frames: &[SceneFrame],
     seed: u64,

@@ -52,11 +52,12 @@ impl Ablation {
     }
 
     /// Generates and scores all variants in a log. Writes `NAME/ROW.json` and `NAME/ROW.png` for each. The
-    /// scene is rendered only if a result is missing; its skeleton is retained. `progress` receives each result.
+    /// scene is rendered only if a result is missing; its skeleton is retained. `progress` receives each
+    /// result.
     ///
     /// # Errors
-    /// Fails if the log is too short, if a result in the folder has other options or weights, or if a variant cannot
-    /// be generated, scored or written.
+    /// Fails if the log is too short, if a result in the folder has other options or weights, or if a variant
+    /// cannot be generated, scored or written.
     pub fn add_scene(
         &mut self,
         name: &str,

@@ -52,9 +52,9 @@ pub(super) struct Measured {
     pub(super) filled: Option<u64>,
 }
 
-/// Renders frames in turn and times them. With several frames in flight, their number is the same at the first and at
-/// the last timed frame: every interval contains one begin and one end. `on_frame` is called with each finished
-/// frame.
+/// Renders frames in turn and times them. With several frames in flight, their number is the same at the
+/// first and at the last timed frame: every interval contains one begin and one end. `on_frame` is called
+/// with each finished frame.
 pub(super) fn measure<F: Frames + ?Sized>(
     frames: &mut F,
     plan: &Plan,

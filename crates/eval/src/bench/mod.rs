@@ -1,9 +1,10 @@
 //! Throughput of rendering: time per frame and per stage, points per second, peak memory.
 //!
 //! # How it works
-//! A [`Workload`] holds clouds and the frames to render: a synthetic street, a cloud with cameras, or frames of a log
-//! with its skeleton. [`bench`](fn@bench) renders them in turn, only with the rasterizer or as whole steps (`frames`),
-//! and times them (`measure`). [`BenchResult`] has the statistics and writes a trace of all frames (`trace`).
+//! A [`Workload`] holds clouds and the frames to render: a synthetic street, a cloud with cameras, or frames
+//! of a log with its skeleton. [`bench`](fn@bench) renders them in turn, only with the rasterizer or as whole
+//! steps (`frames`), and times them (`measure`). [`BenchResult`] has the statistics and writes a trace of all
+//! frames (`trace`).
 
 mod frames;
 mod measure;
@@ -31,8 +32,8 @@ use self::workload::Content;
 /// Renders the frames of a workload and times them. Calls `on_frame` with the name of each finished frame.
 ///
 /// # Errors
-/// Fails if no device supports the rasterizer, if points of a skeleton do not match their checksum, or if a frame
-/// cannot be rendered.
+/// Fails if no device supports the rasterizer, if points of a skeleton do not match their checksum, or if a
+/// frame cannot be rendered.
 pub fn bench(
     workload: Workload,
     options: &BenchOptions,

@@ -19,8 +19,8 @@ pub struct BenchOptions {
 }
 
 impl BenchOptions {
-    /// Returns the number of frames to render of a workload with `count` frames, without those that only keep the
-    /// device busy at the end.
+    /// Returns the number of frames to render of a workload with `count` frames, without those that only keep
+    /// the device busy at the end.
     pub fn frames(&self, count: usize) -> usize {
         self.warm_up + self.repeat * count
     }

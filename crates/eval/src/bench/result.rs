@@ -120,7 +120,8 @@ fn frame_ms(frames: &[TimedFrame]) -> Spread {
     Spread::of(frames.iter().map(|frame| ms(frame.took)))
 }
 
-/// Returns the median time of every stage over the frames, milliseconds. A stage that a frame lacks counts as zero.
+/// Returns the median time of every stage over the frames, milliseconds. A stage that a frame lacks counts as
+/// zero.
 fn stages_ms(frames: &[TimedFrame]) -> BTreeMap<&'static str, f64> {
     let names: BTreeSet<&'static str> = frames.iter().flat_map(|f| f.stages.0.keys().copied()).collect();
     let median = |name: &'static str| {

@@ -1,4 +1,5 @@
-//! Traces in the Chrome trace event format: complete events (`ph: "X"`, times in microseconds), and names of tracks.
+//! Traces in the Chrome trace event format: complete events (`ph: "X"`, times in microseconds), and names of
+//! tracks.
 
 use std::time::Duration;
 
@@ -27,8 +28,8 @@ pub const TRACE: FileKind = FileKind {
     marks: &[b"\"pskel bench\""],
 };
 
-/// Writes frames, from begin to end, and their stages, placed one after the other from the frame's begin. Frames in
-/// flight together get separate tracks. `names` are those of the workload's frames.
+/// Writes frames, from begin to end, and their stages, placed one after the other from the frame's begin.
+/// Frames in flight together get separate tracks. `names` are those of the workload's frames.
 pub(super) fn write(
     file: &OutputFile,
     frames: &[TimedFrame],

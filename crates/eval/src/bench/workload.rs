@@ -65,8 +65,8 @@ impl Workload {
         Self { content, frames: vec![frame], non_finite, skipped: 0 }
     }
 
-    /// Creates a workload of the frames of a log that have cameras. `skeleton` was built from the log, `substitutes`
-    /// supplement its clouds. The HD map is read if the maps need it.
+    /// Creates a workload of the frames of a log that have cameras. `skeleton` was built from the log,
+    /// `substitutes` supplement its clouds. The HD map is read if the maps need it.
     ///
     /// # Errors
     /// Fails if no frame has cameras, or if the HD map is damaged.

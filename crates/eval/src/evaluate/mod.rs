@@ -1,5 +1,5 @@
-//! Scores generated images of rollouts against ground truth. `rollout` reads a rollout, `segmentor` segments vehicles,
-//! `features` reads features of other networks, `report` has the results.
+//! Scores generated images of rollouts against ground truth. `rollout` reads a rollout, `segmentor` segments
+//! vehicles, `features` reads features of other networks, `report` has the results.
 
 mod error;
 mod features;
@@ -27,10 +27,11 @@ pub struct EvaluateOptions {
     pub rollouts: Vec<PathBuf>,
     /// Folders with vehicle masks of a segmentor, `NNNNNN/CAM.png`: one per rollout, or none.
     pub masks: Vec<PathBuf>,
-    /// Rollouts whose ground-truth images and class maps train the patch classifier; the other half of the steps if
-    /// empty.
+    /// Rollouts whose ground-truth images and class maps train the patch classifier; the other half of the
+    /// steps if empty.
     pub classifier_from: Vec<PathBuf>,
-    /// Rollouts whose ground-truth images are the reference set of the Fréchet distances; those of `rollouts` if empty.
+    /// Rollouts whose ground-truth images are the reference set of the Fréchet distances; those of `rollouts`
+    /// if empty.
     pub references: Vec<PathBuf>,
     /// Features of another network for generated and for ground-truth images, NPY files `[N, D]`.
     pub features: Option<[PathBuf; 2]>,
@@ -42,12 +43,12 @@ pub struct EvaluateOptions {
     pub root: Option<PathBuf>,
 }
 
-/// Scores all steps of all rollouts. `on_start` is called with the number of steps, then `on_step` with a name after
-/// each one.
+/// Scores all steps of all rollouts. `on_start` is called with the number of steps, then `on_step` with a
+/// name after each one.
 ///
 /// # Errors
-/// Fails if a folder is not a rollout with generated images, if an image is missing or damaged, if the number of
-/// mask folders differs from the number of rollouts, or if the patch classifier cannot be trained.
+/// Fails if a folder is not a rollout with generated images, if an image is missing or damaged, if the number
+/// of mask folders differs from the number of rollouts, or if the patch classifier cannot be trained.
 pub fn evaluate(
     options: &EvaluateOptions,
     on_start: &mut dyn FnMut(usize),

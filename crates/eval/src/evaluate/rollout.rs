@@ -139,8 +139,8 @@ impl GeneratedRollout {
             .collect()
     }
 
-    /// Reads the maps of all cameras, reduced to the size of the generated images; `None` if the first camera has
-    /// none.
+    /// Reads the maps of all cameras, reduced to the size of the generated images; `None` if the first camera
+    /// has none.
     fn maps<T: Copy + Send + Sync>(
         &self,
         step: &Step,

@@ -32,7 +32,8 @@ enum Patches {
     None,
     /// Classifier trained on other rollouts.
     One(PatchClassifier),
-    /// Classifiers for the first and the second half of the steps of each rollout, each trained on the other halves.
+    /// Classifiers for the first and the second half of the steps of each rollout, each trained on the other
+    /// halves.
     Halves([PatchClassifier; 2]),
 }
 
@@ -64,8 +65,8 @@ impl Masks {
 }
 
 impl Segmentors {
-    /// Creates the segmentors. Trains patch classifiers on the rollouts `from`, or on the other halves of the scored
-    /// ones.
+    /// Creates the segmentors. Trains patch classifiers on the rollouts `from`, or on the other halves of the
+    /// scored ones.
     pub(super) fn new(
         rollouts: &[GeneratedRollout],
         masks: &[PathBuf],

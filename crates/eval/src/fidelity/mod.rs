@@ -1,5 +1,5 @@
-//! Compares condition maps of the synthetic town with ground truth, at and beside the recorded poses. `measure`
-//! compares, `table` formats.
+//! Compares condition maps of the synthetic town with ground truth, at and beside the recorded poses.
+//! `measure` compares, `table` formats.
 
 mod error;
 mod measure;
@@ -34,8 +34,8 @@ pub struct FidelityReport {
 /// Number of poses at which every frame is compared.
 pub const POSES: usize = Pose::ALL.len();
 
-/// Compares the maps of frames at all poses. `renderer` is of the town's skeleton; `options` set splat radii and sizes; `on_step` is called with a name after
-/// each frame of each pose.
+/// Compares the maps of frames at all poses. `renderer` is of the town's skeleton; `options` set splat radii
+/// and sizes; `on_step` is called with a name after each frame of each pose.
 ///
 /// # Errors
 /// Fails if the log has no such frame, or if maps or ground truth cannot be rendered.

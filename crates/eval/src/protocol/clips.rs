@@ -7,7 +7,8 @@ use super::definition::{Length, Part, PartRates};
 /// Clip of a log to generate.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Clip {
-    /// Name, also of the rollout's folder: that of the log, with the second of its start if a log has several.
+    /// Name, also of the rollout's folder: that of the log, with the second of its start if a log has
+    /// several.
     pub name: String,
     /// Time of the first frame, absolute microseconds.
     pub start_us: i64,
@@ -50,8 +51,8 @@ impl Clip {
 }
 
 impl Part {
-    /// Returns its clips of a log with `rates` by default, for a generator with this number of reference frames. All lie
-    /// within the log, except the first one if the log is shorter.
+    /// Returns its clips of a log with `rates` by default, for a generator with this number of reference
+    /// frames. All lie within the log, except the first one if the log is shorter.
     ///
     /// # Errors
     /// Fails if the log ends with the references.
@@ -85,8 +86,9 @@ impl Part {
         Ok((0..count).map(clip).take_while(fits).collect())
     }
 
-    /// Returns the clock of its clips of a log, and the rate of their frames in hertz. Parts that follow the log step from
-    /// frame to frame if its frames have their rate, since ground-truth images are those of frames.
+    /// Returns the clock of its clips of a log, and the rate of their frames in hertz. Parts that follow the
+    /// log step from frame to frame if its frames have their rate, since ground-truth images are those of
+    /// frames.
     fn clock(&self, log: &Recording, rates: Rates) -> (ClipClock, f64) {
         // The stride of frames that is closest to a rate, and the rate of these frames.
         let by_frames = |hz: f64| {

@@ -3,7 +3,8 @@ use pskel_sim::{EgoPolicy, Rates};
 use super::nuscenes_val::SCENES;
 use super::simgen::SIMGEN;
 
-/// An evaluation protocol of the paper *Point as Skeleton*. Source: the configurations of its reference implementation.
+/// An evaluation protocol of the paper *Point as Skeleton*. Source: the configurations of its reference
+/// implementation.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Protocol {
     /// Ten nuPlan logs, replayed in clips and driven off the log.
@@ -25,7 +26,8 @@ pub struct Part {
     pub rates: PartRates,
     /// Length of a clip.
     pub length: Length,
-    /// Seconds from the start of a clip to that of the next one; `None` for one clip at the start of each log.
+    /// Seconds from the start of a clip to that of the next one; `None` for one clip at the start of each
+    /// log.
     pub every_s: Option<f64>,
     /// Part whose ground-truth images are the reference set of the Fréchet distances; `None` for its own.
     pub reference: Option<&'static str>,

@@ -1,9 +1,9 @@
 //! Evaluation protocols: which clips of which logs are generated, and how they are compared.
 //!
 //! # How it works
-//! A [`Protocol`] has names of logs and parts. A [`Part`] is a policy of the ego, a rate and a length; [`Part::clips`]
-//! places its clips in a log. Whoever runs a protocol generates one rollout per clip. [`ProtocolReport`] scores the rollouts
-//! of all parts and has the table.
+//! A [`Protocol`] has names of logs and parts. A [`Part`] is a policy of the ego, a rate and a length;
+//! [`Part::clips`] places its clips in a log. Whoever runs a protocol generates one rollout per clip.
+//! [`ProtocolReport`] scores the rollouts of all parts and has the table.
 
 mod clips;
 mod definition;

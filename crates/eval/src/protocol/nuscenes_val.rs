@@ -1,4 +1,5 @@
-/// Numbers of the validation scenes of nuScenes. Source: `nuscenes/utils/splits.py` of nuscenes-devkit, split `val`.
+/// Numbers of the validation scenes of nuScenes. Source: `nuscenes/utils/splits.py` of nuscenes-devkit, split
+/// `val`.
 pub(super) const SCENES: [u16; 150] = [
     3, 12, 13, 14, 15, 16, 17, 18, 35, 36, 38, 39, 92, 93, 94, 95, 96, 97, 98, 99, 100, 101, 102, 103, 104,
     105, 106, 107, 108, 109, 110, 221, 268, 269, 270, 271, 272, 273, 274, 275, 276, 277, 278, 329, 330, 331,

@@ -84,8 +84,8 @@ struct OffRoad {
 }
 
 impl ProtocolReport {
-    /// Scores the rollouts of all parts in the folder `root`; `logs` are the names of their logs. `on_start` and `on_step` are those of
-    /// [`evaluate`], called for each part.
+    /// Scores the rollouts of all parts in the folder `root`; `logs` are the names of their logs. `on_start`
+    /// and `on_step` are those of [`evaluate`], called for each part.
     ///
     /// # Errors
     /// Fails as [`evaluate`], and if the metrics of a rollout cannot be read.

@@ -36,8 +36,8 @@ pub struct Distances {
     pub network: String,
     /// Distance of images, like FID. `None` with less than two images of either kind.
     pub images: Option<Distance>,
-    /// Distance of videos, like FVD, over all windows of [`WINDOW_FRAMES`] frames with stride 1. `None` with less
-    /// than two windows of either kind.
+    /// Distance of videos, like FVD, over all windows of [`WINDOW_FRAMES`] frames with stride 1. `None` with
+    /// less than two windows of either kind.
     pub videos: Option<Distance>,
     /// Number of frames per window.
     pub window_frames: usize,
@@ -74,8 +74,8 @@ impl CollectedFeatures {
         }
     }
 
-    /// Adds the features of another rollout. Returns `false` and adds nothing if they are of a network with another
-    /// seed.
+    /// Adds the features of another rollout. Returns `false` and adds nothing if they are of a network with
+    /// another seed.
     pub fn append(&mut self, other: &Self) -> bool {
         let fits = self.seed.is_none() || other.seed.is_none() || self.seed == other.seed;
         if fits {

@@ -1,7 +1,7 @@
 use image::RgbImage;
 
-/// A step of a rollout. All slices have one entry per camera, in the same order. All images, maps and masks of a
-/// camera have the size of its generated image; maps and masks are row by row.
+/// A step of a rollout. All slices have one entry per camera, in the same order. All images, maps and masks
+/// of a camera have the size of its generated image; maps and masks are row by row.
 #[derive(Clone, Copy, Debug)]
 pub struct ScoredFrame<'a> {
     /// Time of the step, seconds.

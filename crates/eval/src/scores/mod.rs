@@ -100,8 +100,8 @@ impl RolloutScores {
     /// Adds the next step. The value of a step is the mean over its cameras.
     ///
     /// # Errors
-    /// Returns an error if the number of cameras changes, or if images, maps or masks have other sizes; the step is
-    /// then not added.
+    /// Returns an error if the number of cameras changes, or if images, maps or masks have other sizes; the
+    /// step is then not added.
     pub fn push(&mut self, frame: &ScoredFrame<'_>) -> Result<(), ScoreError> {
         let sizes: Vec<(u32, u32)> = frame.generated.iter().map(RgbImage::dimensions).collect();
         frame.check(self.sizes.as_ref().unwrap_or(&sizes))?;

@@ -21,8 +21,8 @@ impl Series {
     }
 }
 
-/// Intersection over union of vehicles in class maps and in the masks of a segmentation model, over all pixels of a
-/// rollout.
+/// Intersection over union of vehicles in class maps and in the masks of a segmentation model, over all
+/// pixels of a rollout.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct VehicleIou {
     /// IoU in generated images; `None` without class maps or vehicles.
@@ -57,8 +57,8 @@ pub struct Scores {
     pub sharpness_truth: Series,
     /// Sharpness of generated images divided by that of ground-truth images, per step.
     pub sharpness_ratio: Series,
-    /// Differences between pixels across the borders of blocks, relative to those elsewhere, by the side of the blocks; see
-    /// [`SeamSums::ratio`](crate::SeamSums::ratio).
+    /// Differences between pixels across the borders of blocks, relative to those elsewhere, by the side of
+    /// the blocks; see [`SeamSums::ratio`](crate::SeamSums::ratio).
     pub seams: BTreeMap<usize, Option<f64>>,
     /// Motion of actors; `None` without two consecutive steps with ground truth and moving pixels.
     pub motion: Option<Motion>,

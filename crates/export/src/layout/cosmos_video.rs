@@ -1,6 +1,6 @@
-//! `cosmos-video`: videos for post-training Cosmos-Transfer2.5 multiview: `videos/CAMERA/CLIP.mp4` (recorded images),
-//! `control_input_hdmap_bbox/CAMERA/CLIP.mp4` (boxes over the HD map), `control_input_color/CAMERA/CLIP.mp4`, and
-//! `captions/CAMERA/CLIP.json`.
+//! `cosmos-video`: videos for post-training Cosmos-Transfer2.5 multiview: `videos/CAMERA/CLIP.mp4` (recorded
+//! images), `control_input_hdmap_bbox/CAMERA/CLIP.mp4` (boxes over the HD map),
+//! `control_input_color/CAMERA/CLIP.mp4`, and `captions/CAMERA/CLIP.json`.
 
 use std::collections::BTreeMap;
 use std::path::Path;

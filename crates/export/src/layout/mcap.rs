@@ -1,4 +1,5 @@
-//! `mcap`: `SHARD.mcap`, a file of `pskel-mcap` with the topics `/camera/CAM/MAP` and `/camera/CAM/image` (the recorded image).
+//! `mcap`: `SHARD.mcap`, a file of `pskel-mcap` with the topics `/camera/CAM/MAP` and `/camera/CAM/image`
+//! (the recorded image).
 
 use point_skeleton::Maps;
 use pskel_mcap::{Level, SceneFile, Timestamp, camera_topic};

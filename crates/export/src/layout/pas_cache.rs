@@ -1,7 +1,7 @@
-//! `pas-cache`: the cache of the training code of *Point as Skeleton*, by token of the image (nuScenes sample_data, nuPlan
-//! image): `3dbox_images/TOKEN.png` and `hdmap_images/TOKEN.png`, RGB at the size of the image;
-//! `proj_depth_g1.0/TOKEN.png` (nuPlan: `proj_depth_g1.0_b256`), 16-bit gray, and `proj_clr/TOKEN.png`, RGB, at the size of the
-//! maps.
+//! `pas-cache`: the cache of the training code of *Point as Skeleton*, by token of the image (nuScenes
+//! sample_data, nuPlan image): `3dbox_images/TOKEN.png` and `hdmap_images/TOKEN.png`, RGB at the size of the
+//! image; `proj_depth_g1.0/TOKEN.png` (nuPlan: `proj_depth_g1.0_b256`), 16-bit gray, and
+//! `proj_clr/TOKEN.png`, RGB, at the size of the maps.
 
 use point_skeleton::Maps;
 use point_skeleton::conditions::{ConditionOptions, MapKind, MapSet, draw_layouts};
@@ -33,7 +33,8 @@ impl<'a> PasCache<'a> {
         }
     }
 
-    /// Returns whether another frame is nearer to an image: in nuPlan, images of 10 Hz belong to two frames of 20 Hz.
+    /// Returns whether another frame is nearer to an image: in nuPlan, images of 10 Hz belong to two frames
+    /// of 20 Hz.
     fn is_of_other_frame(&self, image: &ImageRecord, frame: usize) -> bool {
         let frames = &self.source.recording().frames;
         let neighbors = frame.saturating_sub(1)..frames.len().min(frame + 2);
@@ -43,7 +44,8 @@ impl<'a> PasCache<'a> {
     }
 }
 
-/// Returns the frame whose time is nearest, of two such frames the earlier one; times are those of frames by index.
+/// Returns the frame whose time is nearest, of two such frames the earlier one; times are those of frames by
+/// index.
 fn nearest(t_us: i64, times: impl Iterator<Item = (usize, i64)>) -> Option<usize> {
     times.min_by_key(|(index, time_us)| (time_us.abs_diff(t_us), *index)).map(|(index, _)| index)
 }

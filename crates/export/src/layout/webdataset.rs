@@ -1,8 +1,9 @@
-//! `webdataset`: an uncompressed tar per shard. A sample has the key `LOG-FRAME` and the files `KEY.json`, and either
-//! `KEY.conditions.safetensors` or `KEY.MAP.CAMERA.png`; with recorded images also `KEY.image.CAMERA.jpg`.
+//! `webdataset`: an uncompressed tar per shard. A sample has the key `LOG-FRAME` and the files `KEY.json`,
+//! and either `KEY.conditions.safetensors` or `KEY.MAP.CAMERA.png`; with recorded images also
+//! `KEY.image.CAMERA.jpg`.
 //!
-//! Names are in lower case, since readers convert them. Maps of 16 bits are `KEY.MAP.CAMERA.npy`: all image decoders of
-//! the package reduce PNG to 8 bits, without an error.
+//! Names are in lower case, since readers convert them. Maps of 16 bits are `KEY.MAP.CAMERA.npy`: all image
+//! decoders of the package reduce PNG to 8 bits, without an error.
 
 use std::borrow::Cow;
 use std::path::Path;

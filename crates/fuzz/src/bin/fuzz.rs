@@ -1,6 +1,6 @@
-//! Runs a target under libFuzzer. `PSKEL_FUZZ_TARGET` names it; if unset, all targets are printed with their maximum
-//! input length. `PSKEL_FUZZ_BYTES` names a file to which the total size of all inputs is written about once a
-//! second.
+//! Runs a target under libFuzzer. `PSKEL_FUZZ_TARGET` names it; if unset, all targets are printed with their
+//! maximum input length. `PSKEL_FUZZ_BYTES` names a file to which the total size of all inputs is written
+//! about once a second.
 #![no_main]
 #![allow(clippy::print_stdout)]
 #![allow(unsafe_code)] // for the macro's function that libFuzzer calls

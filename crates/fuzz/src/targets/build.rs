@@ -74,8 +74,8 @@ impl Unfinished {
         Self { folder, files, made: Made::new(3) }
     }
 
-    /// Changes the file selected by the first byte: JSON by edits, checksums by positions (one byte), each with its
-    /// new byte.
+    /// Changes the file selected by the first byte: JSON by edits, checksums by positions (one byte), each
+    /// with its new byte.
     fn change(&mut self, data: &[u8]) {
         let (number, changes) = data.split_first().unwrap_or((&0, &[]));
         let name = self.files[usize::from(*number) % self.files.len()].clone();

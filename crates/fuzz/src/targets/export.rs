@@ -88,7 +88,8 @@ impl Complete {
     }
 }
 
-/// Edits the file that the first byte selects, then continues the export; an odd second byte compares checksums.
+/// Edits the file that the first byte selects, then continues the export; an odd second byte compares
+/// checksums.
 fn go_on(data: &[u8]) {
     COMPLETE.with_borrow_mut(|Complete { folder, list }| {
         let (head, edits) = data.split_at(data.len().min(2));

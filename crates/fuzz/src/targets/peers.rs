@@ -30,8 +30,8 @@ pub(super) const TARGETS: [Target; 2] = [
 /// Longer than any answer takes. It is never reached, since a connection ends with its last answer.
 const TIMEOUT_S: f64 = 20.0;
 
-/// Maximum wait of an answer for its message. After a truncated answer no message comes: the peer waits for the rest
-/// of the answer.
+/// Maximum wait of an answer for its message. After a truncated answer no message comes: the peer waits for
+/// the rest of the answer.
 const PATIENCE: Duration = Duration::from_millis(50);
 
 /// Server that answers the messages of each connection.
@@ -141,8 +141,8 @@ fn options() -> GenerateOptions {
     }
 }
 
-/// Splits an input into messages, each after its length (two bytes). A length with its highest bit set omits the
-/// protocol's eight-byte length. After a first byte of 0, a valid hello comes first.
+/// Splits an input into messages, each after its length (two bytes). A length with its highest bit set omits
+/// the protocol's eight-byte length. After a first byte of 0, a valid hello comes first.
 fn messages(data: &[u8]) -> Vec<Vec<u8>> {
     let mut messages = Vec::new();
     let mut rest = data.strip_prefix(&[0]).inspect(|_| messages.push(counted(&hello(true)))).unwrap_or(data);

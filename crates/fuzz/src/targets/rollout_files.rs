@@ -1,4 +1,5 @@
-//! Files of rollouts with generated images: resumed with an MCAP file, scored by protocols, copied into a data set.
+//! Files of rollouts with generated images: resumed with an MCAP file, scored by protocols, copied into a
+//! data set.
 
 use std::cell::RefCell;
 use std::path::Path;

@@ -15,8 +15,8 @@ const CALL: &str = "call";
 const PREDICTION: &str = "prediction";
 const UNCONDITIONAL: &str = "unconditional";
 
-/// Serializes a window as a `predict` request. All latents are of `shape`, all conditions of one size. With `dropped`
-/// conditions it asks for both halves of guidance.
+/// Serializes a window as a `predict` request. All latents are of `shape`, all conditions of one size. With
+/// `dropped` conditions it asks for both halves of guidance.
 pub(super) fn request(
     window: &[Frame<'_, FrameConditions>],
     shape: LatentShape,

@@ -35,8 +35,8 @@ pub struct ProcessDenoiser {
 }
 
 impl ProcessDenoiser {
-    /// Starts the process or connects to it, and exchanges hellos. It will receive the cameras of `rig` with conditions
-    /// of `size`.
+    /// Starts the process or connects to it, and exchanges hellos. It will receive the cameras of `rig` with
+    /// conditions of `size`.
     ///
     /// # Errors
     /// Returns an error if the process cannot be started or reached, does not answer in time, or violates the

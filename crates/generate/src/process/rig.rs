@@ -1,7 +1,8 @@
 use point_skeleton::dataset::Recording;
 use point_skeleton::geometry::ImageSize;
 
-/// Cameras of a log, and the rate of its frames: what a network in another process may want to know beforehand.
+/// Cameras of a log, and the rate of its frames: what a network in another process may want to know
+/// beforehand.
 #[derive(Clone, Debug, PartialEq)]
 pub struct DenoiserRig {
     /// Channel names, in the order of all tensors.

@@ -3,10 +3,10 @@ use rayon::prelude::*;
 use super::math::{Product, dot, each, every, exp, gelu, gelu_slope, total, wide};
 use super::{Attend, EPSILON, Grid, LANES};
 
-/// Attention and the activation of a hidden layer in parallel: rows `[q, k, v, hidden]` of width `3d + m` become
-/// rows `[softmax(q k / sqrt c) v, gelu(hidden)]` of width `d + m`. q and k are normalized to a mean square of 1
-/// per head, so softmax does not need the maximum of its inputs. Source: Dehghani et al., "Scaling Vision
-/// Transformers to 22 Billion Parameters", 2023 (normed queries and keys, parallel layers).
+/// Attention and the activation of a hidden layer in parallel: rows `[q, k, v, hidden]` of width `3d + m`
+/// become rows `[softmax(q k / sqrt c) v, gelu(hidden)]` of width `d + m`. q and k are normalized to a mean
+/// square of 1 per head, so softmax does not need the maximum of its inputs. Source: Dehghani et al.,
+/// "Scaling Vision Transformers to 22 Billion Parameters", 2023 (normed queries and keys, parallel layers).
 #[derive(Clone, Copy, Debug)]
 pub(in super::super) struct AttentionMlp {
     /// Token grid.
@@ -24,7 +24,8 @@ pub(in super::super) struct AttentionMlp {
 /// Minimum number of rows per task.
 const ROWS_PER_TASK: usize = 64;
 
-/// Buffers for a head of a group of n tokens of width c. Rows of weights are padded to N, a multiple of [`LANES`].
+/// Buffers for a head of a group of n tokens of width c. Rows of weights are padded to N, a multiple of
+/// [`LANES`].
 #[derive(Default)]
 struct Scratch {
     /// Normalized queries and keys, and values: `[n, c]`.

@@ -5,9 +5,9 @@ use rayon::prelude::*;
 use super::LANES;
 use super::math::{Product, wide};
 
-/// Convolution by 3x3 pixels of images `[N, H, W, C]` with zeros around them, a bias, and optionally `max(0, x)`.
-/// The weights are `[9 C, D]`, with a row per (y, x, input channel) and a column per output channel. C and D are
-/// multiples of [`LANES`].
+/// Convolution by 3x3 pixels of images `[N, H, W, C]` with zeros around them, a bias, and optionally `max(0,
+/// x)`. The weights are `[9 C, D]`, with a row per (y, x, input channel) and a column per output channel. C
+/// and D are multiples of [`LANES`].
 #[derive(Clone, Copy, Debug)]
 pub(in super::super) struct Convolution {
     pub(in super::super) height: usize,
@@ -22,8 +22,8 @@ pub(in super::super) struct Convolution {
 
 /// Rows of an image per task.
 const ROWS_PER_TASK: usize = 16;
-/// Images whose weight gradients are summed by one task. A fixed number, so that sums do not depend on the number of
-/// threads.
+/// Images whose weight gradients are summed by one task. A fixed number, so that sums do not depend on the
+/// number of threads.
 const IMAGES_PER_SUM: usize = 2;
 
 impl Convolution {
@@ -54,8 +54,8 @@ impl Convolution {
         out
     }
 
-    /// Copies `rows` rows of an image from row `first`, with the row before and the one behind them, and a pixel of
-    /// zeros on either side: `[rows + 2, W + 2, C]`.
+    /// Copies `rows` rows of an image from row `first`, with the row before and the one behind them, and a
+    /// pixel of zeros on either side: `[rows + 2, W + 2, C]`.
     fn pad(&self, x: &[f32], first: usize, rows: usize, padded: &mut Vec<f32>) {
         let Self { height, width, channels, .. } = *self;
         padded.clear();

@@ -8,8 +8,8 @@ pub(super) fn wide<R>(loops: impl FnOnce() -> R) -> R {
     pulp::Arch::new().dispatch(loops)
 }
 
-/// Returns `e^x` by a polynomial, with a relative error below 4e-7. Arguments below -87 give about 1e-38. Source:
-/// Cephes, `expf`.
+/// Returns `e^x` by a polynomial, with a relative error below 4e-7. Arguments below -87 give about 1e-38.
+/// Source: Cephes, `expf`.
 #[inline(always)]
 pub(super) fn exp(x: f32) -> f32 {
     let x = x.clamp(-87.0, 88.0);
@@ -46,8 +46,8 @@ pub(super) fn gelu_slope(x: f32) -> f32 {
     share + x * share * (1.0 - share) * GELU_SLOPE * (1.0 + 3.0 * GELU_CUBE * x * x)
 }
 
-/// A small matrix product, `out[rows, columns] = a[rows, inner] b[inner, columns]`. `b` and `out` are row-major,
-/// and `columns` is a multiple of [`LANES`]. Each value is summed in the order of `inner`.
+/// A small matrix product, `out[rows, columns] = a[rows, inner] b[inner, columns]`. `b` and `out` are
+/// row-major, and `columns` is a multiple of [`LANES`]. Each value is summed in the order of `inner`.
 pub(super) struct Product<'a> {
     pub(super) rows: usize,
     pub(super) inner: usize,

@@ -1,12 +1,12 @@
-//! Operations that the tensor library lacks or runs far more slowly: convolutions of 3x3 pixels, halving and doubling,
-//! attention along three axes, GELU, and a norm and a residual that are modulated per frame.
+//! Operations that the tensor library lacks or runs far more slowly: convolutions of 3x3 pixels, halving and
+//! doubling, attention along three axes, GELU, and a norm and a residual that are modulated per frame.
 //!
 //! # How it works
-//! Plain loops over slices, written so that the compiler vectorizes them under `pulp`'s dispatch. Measured on two
-//! cores, the library's softmax and tanh GELU (one thread, a call of the C library per value) take longer than all
-//! matrix products of a block together; these kernels take a small share of it. Attention gathers its tokens
-//! itself, so nothing is permuted in memory. One thread computes a group or a row in a fixed order, so results do
-//! not depend on the number of threads. All widths are multiples of [`LANES`].
+//! Plain loops over slices, written so that the compiler vectorizes them under `pulp`'s dispatch. Measured on
+//! two cores, the library's softmax and tanh GELU (one thread, a call of the C library per value) take longer
+//! than all matrix products of a block together; these kernels take a small share of it. Attention gathers
+//! its tokens itself, so nothing is permuted in memory. One thread computes a group or a row in a fixed
+//! order, so results do not depend on the number of threads. All widths are multiples of [`LANES`].
 #![allow(clippy::needless_range_loop)] // loops over lanes: this form vectorizes
 
 mod attention;

@@ -45,7 +45,8 @@ impl Resize {
         out
     }
 
-    /// Returns the image at twice the size, `[N, H, W, C]` of `[N, H / 2, W / 2, C]`: bilinear, with repeated borders.
+    /// Returns the image at twice the size, `[N, H, W, C]` of `[N, H / 2, W / 2, C]`: bilinear, with repeated
+    /// borders.
     pub(in super::super) fn double(&self, x: &[f32]) -> Vec<f32> {
         let Self { height, width, channels: c } = *self;
         let (low, across) = (height / 2, width / 2);
@@ -90,8 +91,8 @@ impl Resize {
     }
 }
 
-/// Returns the two pixels of a line of `count` that a pixel of the doubled line lies between, and their shares: the nearer
-/// and the other one.
+/// Returns the two pixels of a line of `count` that a pixel of the doubled line lies between, and their
+/// shares: the nearer and the other one.
 pub(in super::super) fn neighbors(place: usize, count: usize) -> [(usize, f32); 2] {
     let nearer = place / 2;
     let other = if place.is_multiple_of(2) { nearer.saturating_sub(1) } else { (nearer + 1).min(count - 1) };

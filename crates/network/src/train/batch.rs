@@ -14,7 +14,8 @@ use crate::{Inputs, NetworkConfig, NetworkError, Statistics, latent_rows};
 
 /// Minimum noise level of a frame that is not finished.
 const SIGMA_MIN: f32 = 0.005;
-/// Maxima of the errors of frames, in units of latents: logarithm of the gain, shift of all channels and of each, and noise.
+/// Maxima of the errors of frames, in units of latents: logarithm of the gain, shift of all channels and of
+/// each, and noise.
 const MOST_GAIN: f32 = 0.2;
 const MOST_SHIFT: f32 = 0.3;
 const MOST_TINT: f32 = 0.1;
@@ -174,7 +175,8 @@ fn cameras_of(frame: &DriveFrame, first: usize, count: usize, pixels: usize) -> 
 }
 
 impl Window {
-    /// Returns the frames to decode: those with the most noise and with the least, of those that are not finished.
+    /// Returns the frames to decode: those with the most noise and with the least, of those that are not
+    /// finished.
     fn decoded(&self) -> Vec<usize> {
         let by_noise = |a: &usize, b: &usize| self.sigmas[*a].total_cmp(&self.sigmas[*b]);
         let frames = self.finished..self.sigmas.len();
@@ -185,7 +187,8 @@ impl Window {
     }
 }
 
-/// Returns latents `[F V h w, 3]` with errors like those that generated frames have: another brightness of each image, and noise.
+/// Returns latents `[F V h w, 3]` with errors like those that generated frames have: another brightness of
+/// each image, and noise.
 fn errors(clean: &[f32], images: usize, random: &mut ChaCha8Rng) -> Vec<f32> {
     let mut between = |most: f32| (2.0 * unit(random) - 1.0) * most;
     let spread = between(MOST_NOISE).abs();
@@ -205,8 +208,9 @@ fn errors(clean: &[f32], images: usize, random: &mut ChaCha8Rng) -> Vec<f32> {
     clean.iter().enumerate().map(err).collect()
 }
 
-/// Adds noise to latents at the levels of their frames, and returns them. Finished frames have errors and no noise. The others have
-/// errors too, less so at low levels; the noise is changed to what leads from the noisy latents to the clean ones.
+/// Adds noise to latents at the levels of their frames, and returns them. Finished frames have errors and no
+/// noise. The others have errors too, less so at low levels; the noise is changed to what leads from the
+/// noisy latents to the clean ones.
 fn noisy(clean: &[f32], erring: &[f32], noise: &mut [f32], sigmas: &[f32], counts: &[bool]) -> Vec<f32> {
     let per_frame = clean.len() / sigmas.len();
     let mut noisy = Vec::with_capacity(clean.len());
@@ -298,8 +302,8 @@ mod tests {
         let options = TrainOptions { staircase: 1.0, ..TrainOptions::default() };
         let table = FlowMatch::new(8, 3.0);
         let s = table.sigmas();
-        // Calls 6 and 7 of T = 8, with two steps per frame: the first frame is at index 6 or 7, each later frame
-        // two steps behind the previous one.
+        // Calls 6 and 7 of T = 8, with two steps per frame: the first frame is at index 6 or 7, each later
+        // frame two steps behind the previous one.
         let expected = [[s[6], s[4], s[2], s[0]], [s[7], s[5], s[3], s[1]]];
         let (mut seen, mut finished) = ([0; 2], [0; 4]);
         for window in windows(&options) {

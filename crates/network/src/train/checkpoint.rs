@@ -28,8 +28,8 @@ pub(super) struct Header {
 
 const HEADER: &str = "training";
 
-/// Writes the state of a run to resume from: for each parameter `value/..`, the moments `first/..` and `second/..`,
-/// and `average/..`.
+/// Writes the state of a run to resume from: for each parameter `value/..`, the moments `first/..` and
+/// `second/..`, and `average/..`.
 pub(super) fn save(path: &Path, header: &Header, state: &State) -> Result<(), NetworkError> {
     use std::io::Write;
     let mut arrays = Vec::with_capacity(4 * state.parameters.len());

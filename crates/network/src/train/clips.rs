@@ -64,11 +64,12 @@ impl ClipRecorder<'_> {
         check_place(self.folder, self.read)
     }
 
-    /// Returns the clips of a log, in order. Missing ones are recorded to files whose names begin with `name`.
+    /// Returns the clips of a log, in order. Missing ones are recorded to files whose names begin with
+    /// `name`.
     ///
     /// # Errors
-    /// Fails if the log does not have 1 to 8 cameras, if an existing clip or skeleton is of another recording, or a clip of
-    /// another recipe, or if a clip cannot be rendered or written.
+    /// Fails if the log does not have 1 to 8 cameras, if an existing clip or skeleton is of another
+    /// recording, or a clip of another recipe, or if a clip cannot be rendered or written.
     pub fn clips(&self, name: &str, log: &Log) -> Result<Vec<TrainingClip>, RecordError> {
         let found = log.recording().rig.len();
         if NetworkConfig::check_cameras(found).is_err() {
@@ -88,8 +89,8 @@ impl ClipRecorder<'_> {
         self.folder.join(format!("{name}-{number}{suffix}.safetensors"))
     }
 
-    /// Records missing clips. The skeleton is retained for later ones. Only recording locks the folder: trainings
-    /// share it.
+    /// Records missing clips. The skeleton is retained for later ones. Only recording locks the folder:
+    /// trainings share it.
     fn record(
         &self,
         name: &str,
@@ -126,7 +127,8 @@ impl ClipRecorder<'_> {
         Variant { offset, augment: self.options.augment.then_some(SEED ^ number as u64) }
     }
 
-    /// Opens a clip, which must be of the same recording, by its name and fingerprint, and have the same recipe.
+    /// Opens a clip, which must be of the same recording, by its name and fingerprint, and have the same
+    /// recipe.
     fn open(
         &self,
         name: &str,

@@ -12,7 +12,8 @@ pub(super) struct LossWeights<'a> {
     pub(super) expected_error: f32,
 }
 
-/// Weight of the decoded images beside the answers: an error of 0.1 counts as much as the expected one of an answer.
+/// Weight of the decoded images beside the answers: an error of 0.1 counts as much as the expected one of an
+/// answer.
 const IMAGE_WEIGHT: f64 = 100.0;
 /// Weight of the differences between neighboring pixels beside the pixels themselves.
 const GRADIENT_WEIGHT: f64 = 0.5;
@@ -66,7 +67,8 @@ fn image_loss(errors: &Tensor, config: &NetworkConfig) -> Result<Tensor> {
     images.sqr()?.mean_all()? + (gradients * GRADIENT_WEIGHT)?
 }
 
-/// Returns the mean square error of the first guess per frame, relative to its average over the training data.
+/// Returns the mean square error of the first guess per frame, relative to its average over the training
+/// data.
 fn guess_errors(left: &Tensor, frames: usize, weighing: LossWeights<'_>) -> Result<Vec<f32>> {
     let scales: Vec<f32> = weighing.priors.iter().map(|prior| weighing.expected_error / prior).collect();
     let scales = Tensor::from_vec(scales, (1, weighing.priors.len()), &Device::Cpu)?;
@@ -74,9 +76,9 @@ fn guess_errors(left: &Tensor, frames: usize, weighing: LossWeights<'_>) -> Resu
     squares.reshape((frames, squares.elem_count() / frames))?.mean(1)?.to_vec1()
 }
 
-/// Returns weights of frames and channels, `[F, C]`: all noise levels weigh the same, and a frame whose first guess is
-/// worse than usual, since conditions were dropped, gets a smaller weight, or these few frames would dominate training. Summed over all
-/// rows, they are 1 if no guess is worse than usual.
+/// Returns weights of frames and channels, `[F, C]`: all noise levels weigh the same, and a frame whose first
+/// guess is worse than usual, since conditions were dropped, gets a smaller weight, or these few frames would
+/// dominate training. Summed over all rows, they are 1 if no guess is worse than usual.
 fn weights(counts: &[bool], priors: &[f32], guess_errors: &[f32], rows: usize) -> Vec<f32> {
     let mean = priors.iter().sum::<f32>() / priors.len() as f32;
     let counted = counts.iter().filter(|counts| **counts).count().max(1);
@@ -90,8 +92,8 @@ fn weights(counts: &[bool], priors: &[f32], guess_errors: &[f32], rows: usize) -
 mod tests {
     use super::*;
 
-    /// One image of 8x8 pixels by hand: an offset of 0.5 has no gradient; a step of 1 between two columns has one in 8 of
-    /// 56 places.
+    /// One image of 8x8 pixels by hand: an offset of 0.5 has no gradient; a step of 1 between two columns has
+    /// one in 8 of 56 places.
     #[test]
     fn errors_of_images_and_of_their_gradients_count() {
         let mut config = NetworkConfig::default();

@@ -130,7 +130,8 @@ impl State {
 mod tests {
     use super::*;
 
-    /// The first step of AdamW moves by the learning rate against the sign of the gradient, after weight decay.
+    /// The first step of AdamW moves by the learning rate against the sign of the gradient, after weight
+    /// decay.
     #[test]
     fn a_step_is_what_the_definition_says() {
         let options = TrainOptions {

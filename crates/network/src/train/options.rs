@@ -24,23 +24,23 @@ pub struct TrainOptions {
     pub clip: f64,
     /// Probabilities of dropping conditions.
     pub drop: DropChances,
-    /// Expected error of the trained network, as a share of the first guess's error; scales the network's input and
-    /// output. A small value makes a network that was trained briefly answer with the mean of the possible images
-    /// rather than with noise.
+    /// Expected error of the trained network, as a share of the first guess's error; scales the network's
+    /// input and output. A small value makes a network that was trained briefly answer with the mean of the
+    /// possible images rather than with noise.
     pub expected_error: f32,
     /// Number of inference steps whose noise levels are trained, T.
     pub infer_steps: usize,
     /// Shift of the noise levels towards the noise.
     pub shift: f64,
-    /// Share of windows with the noise levels of a roll: a staircase after some finished frames. The other windows
-    /// have an independent level per frame.
+    /// Share of windows with the noise levels of a roll: a staircase after some finished frames. The other
+    /// windows have an independent level per frame.
     pub staircase: f32,
     /// Share of the other windows that begin with some finished frames, as with strategies that do not roll.
     pub history: f32,
     /// Share of windows that are changed at random: colors, exposures, missing points, reflection.
     pub augment: f32,
-    /// Share of windows whose frames have errors like generated ones, so that the network does not trust earlier frames more than
-    /// conditions.
+    /// Share of windows whose frames have errors like generated ones, so that the network does not trust
+    /// earlier frames more than conditions.
     pub errors: f32,
     /// Share of windows with all cameras; the others have a random number of neighboring ones.
     pub all_cameras: f32,
@@ -96,8 +96,8 @@ impl TrainOptions {
     /// Checks that the options are consistent and fit a network.
     ///
     /// # Errors
-    /// Returns an error if a value is out of range, or if the frames of the window cannot share the inference steps
-    /// evenly.
+    /// Returns an error if a value is out of range, or if the frames of the window cannot share the inference
+    /// steps evenly.
     pub fn check(&self, config: &NetworkConfig) -> Result<(), NetworkError> {
         let Self { batch, infer_steps, shift, drop, .. } = *self;
         let wrong = |expected: String, found: String| Err(NetworkError::input(expected, found));

@@ -75,7 +75,8 @@ impl TrainingFolder {
         Ok(Self { path: path.to_owned(), files })
     }
 
-    /// Checks, before clips are recorded, that a training that is resumed began with the same options and network.
+    /// Checks, before clips are recorded, that a training that is resumed began with the same options and
+    /// network.
     ///
     /// # Errors
     /// Fails if it began with others, or if its checkpoint is damaged.
@@ -94,11 +95,12 @@ impl TrainingFolder {
         check_same(&before, &json!({"options": train, "network": config}), &checkpoint)
     }
 
-    /// Starts or resumes a training on clips, whose windows are drawn with probabilities in the ratio of `shares`.
+    /// Starts or resumes a training on clips, whose windows are drawn with probabilities in the ratio of
+    /// `shares`.
     ///
     /// # Errors
-    /// Fails if the options or the configuration are inconsistent, if the clips do not fit them, or if the checkpoint
-    /// is damaged or has other options.
+    /// Fails if the options or the configuration are inconsistent, if the clips do not fit them, or if the
+    /// checkpoint is damaged or has other options.
     pub fn start<'c>(
         self,
         config: NetworkConfig,
@@ -117,7 +119,8 @@ impl TrainingFolder {
     }
 }
 
-/// Resumes a training with the same options. These include the number of steps, on which the learning rate depends.
+/// Resumes a training with the same options. These include the number of steps, on which the learning rate
+/// depends.
 fn resume<'c>(
     checkpoint: &Path,
     (config, train, shares): (&NetworkConfig, &TrainOptions, &[f64]),
@@ -147,8 +150,8 @@ impl Training<'_> {
         self.trainer.options().steps - self.trainer.done()
     }
 
-    /// Takes all remaining steps and writes checkpoints, weights and losses. `progress` receives each step and the
-    /// mean loss of the last ones.
+    /// Takes all remaining steps and writes checkpoints, weights and losses. `progress` receives each step
+    /// and the mean loss of the last ones.
     ///
     /// # Errors
     /// Fails if the loss diverges or if a file cannot be written.

@@ -18,7 +18,8 @@ type Sums = [[f64; 2]; CHANNELS];
 /// Computes mean and standard deviation of the latents, and the error of the filled color as a guess of them.
 ///
 /// # Errors
-/// Returns an error if the configuration is inconsistent, or if the recordings have too few frames or other sizes.
+/// Returns an error if the configuration is inconsistent, or if the recordings have too few frames or other
+/// sizes.
 pub fn measure(config: &NetworkConfig, drives: &[TrainingClip]) -> Result<Statistics, NetworkError> {
     config.check()?;
     check(config, drives)?;
@@ -61,8 +62,8 @@ fn sums(values: impl Iterator<Item = f32>) -> (Sums, usize) {
     (sums, count)
 }
 
-/// Returns mean and standard deviation of each channel. The parts are added in their order, for the same bytes with any
-/// number of threads.
+/// Returns mean and standard deviation of each channel. The parts are added in their order, for the same
+/// bytes with any number of threads.
 fn moments(parts: Vec<(Sums, usize)>) -> [[f64; CHANNELS]; 2] {
     let (mut all, mut count) = (Sums::default(), 0);
     for (sums, places) in parts {

@@ -38,11 +38,12 @@ pub struct StepReport {
 }
 
 impl<'a> Trainer<'a> {
-    /// Computes the statistics of the recordings and creates the initial parameters. Windows are drawn from the recordings
-    /// with probabilities in the ratio of `shares`.
+    /// Computes the statistics of the recordings and creates the initial parameters. Windows are drawn from
+    /// the recordings with probabilities in the ratio of `shares`.
     ///
     /// # Errors
-    /// Returns an error if the options or the configuration are inconsistent, or if the recordings do not fit them.
+    /// Returns an error if the options or the configuration are inconsistent, or if the recordings do not fit
+    /// them.
     pub fn new(
         options: TrainOptions,
         config: NetworkConfig,

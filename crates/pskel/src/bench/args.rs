@@ -17,7 +17,8 @@ use crate::{WrongUsage, log_args, logs, skeletons, tell, tell_notes, warn};
 /// Measure rendering speed: time per frame and per stage, points per second, peak memory
 ///
 /// A frame is all cameras of one instant: from its poses to all maps in host memory, with the clouds already
-/// resident. The workload is a synthetic street, a file of points, or the frames of a recording with its skeleton.
+/// resident. The workload is a synthetic street, a file of points, or the frames of a recording with its
+/// skeleton.
 #[derive(Debug, Args)]
 pub(crate) struct BenchArgs {
     /// Recording whose frames are rendered in turn: FORMAT:PATH[@VERSION][#SCENE], like
@@ -32,8 +33,8 @@ pub(crate) struct BenchArgs {
     frames: Option<FrameRange>,
     #[command(flatten)]
     stand_ins: SubstituteArgs,
-    /// Number of points of a synthetic street with six cameras of 900x1600, like 4000000 or 4e6; the default workload
-    /// [default: 4e6]
+    /// Number of points of a synthetic street with six cameras of 900x1600, like 4000000 or 4e6; the default
+    /// workload [default: 4e6]
     #[arg(long, value_name = "N", value_parser = numbers::points, conflicts_with_all = ["points", "cameras"])]
     #[arg(allow_negative_numbers = true)]
     synthetic: Option<usize>,
@@ -53,12 +54,13 @@ pub(crate) struct BenchArgs {
     /// Reduce the maps to this size after rendering [default: no reduction]
     #[arg(long, value_name = "HxW")]
     out_size: Option<ImageSize>,
-    /// Splat radius by depth: up to Z meters a point covers (2R+1) x (2R+1) pixels; points beyond the last Z are
-    /// culled
+    /// Splat radius by depth: up to Z meters a point covers (2R+1) x (2R+1) pixels; points beyond the last Z
+    /// are culled
     #[arg(long, value_name = "Z:R,..", default_value_t)]
     splat: SplatSchedule,
-    /// Maps to render: color, depth, class, instance, and point (point numbers); with boxes, map (the recording's HD
-    /// map) or tensor a frame is a whole step: instance selection, rendering, layouts, and network inputs
+    /// Maps to render: color, depth, class, instance, and point (point numbers); with boxes, map (the
+    /// recording's HD map) or tensor a frame is a whole step: instance selection, rendering, layouts, and
+    /// network inputs
     #[arg(long, value_name = "MAP,..", default_value = "color,depth,class,instance")]
     maps: MapSet,
     /// Number of timed frames [default: 20]; with a recording, passes over all its frames [default: 1]
@@ -68,8 +70,8 @@ pub(crate) struct BenchArgs {
     /// Number of frames rendered before the timed ones
     #[arg(long, value_name = "N", default_value = "3", allow_negative_numbers = true)]
     pub(super) warm_up: u32,
-    /// Frames in flight. 1: a frame begins after the previous one is finished; its time is from begin to end. 2: a
-    /// frame begins before the previous one is finished; its time is from end to end
+    /// Frames in flight. 1: a frame begins after the previous one is finished; its time is from begin to end.
+    /// 2: a frame begins before the previous one is finished; its time is from end to end
     #[arg(long, value_name = "1|2", default_value = "1")]
     #[arg(value_parser = clap::value_parser!(u32).range(1..=FRAMES_IN_FLIGHT as i64))]
     pub(super) in_flight: u32,

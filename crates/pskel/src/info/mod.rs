@@ -21,8 +21,8 @@ pub(super) use skeleton::dropped;
 
 /// Describe a log, a skeleton or a file, and report missing or damaged parts
 ///
-/// Of a log, the tables are read completely; of sweeps and images, only sizes and headers, and the points of a few sweeps.
-/// Missing and damaged files are named, and the exit code is then 1.
+/// Of a log, the tables are read completely; of sweeps and images, only sizes and headers, and the points of
+/// a few sweeps. Missing and damaged files are named, and the exit code is then 1.
 #[derive(Debug, Args)]
 pub(super) struct InfoArgs {
     /// [FORMAT:]PATH[@VERSION][#SCENE], a folder of a skeleton or of templates, or a file (.pcd.bin, .pcd, .feather,
@@ -34,13 +34,14 @@ pub(super) struct InfoArgs {
     /// Print one JSON object instead of text
     #[arg(long)]
     json: bool,
-    /// Read all points of a skeleton or of templates and compare them with their checksums; fails if any differ
+    /// Read all points of a skeleton or of templates and compare them with their checksums; fails if any
+    /// differ
     #[arg(long)]
     verify: bool,
 }
 
-/// Runs the command: describes the target. Missing and damaged files of a log are an error after the description, as are
-/// wrong checksums with --verify.
+/// Runs the command: describes the target. Missing and damaged files of a log are an error after the
+/// description, as are wrong checksums with --verify.
 pub(super) fn run(args: InfoArgs) -> anyhow::Result<()> {
     let verified = args.verify.then(|| verify::verify(&args.target)).transpose()?;
     let (mut json, mut text) = describe(&args.target, &args.roots)?;

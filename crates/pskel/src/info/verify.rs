@@ -19,8 +19,8 @@ pub(super) struct Verified {
 /// Reads and verifies all points at a path.
 ///
 /// # Errors
-/// Fails if the path is neither a skeleton nor a folder of templates, if a file cannot be opened, or if a template of
-/// a library is damaged.
+/// Fails if the path is neither a skeleton nor a folder of templates, if a file cannot be opened, or if a
+/// template of a library is damaged.
 pub(super) fn verify(target: &str) -> anyhow::Result<Verified> {
     let path = Path::new(target);
     if Skeleton::is_at(path) {

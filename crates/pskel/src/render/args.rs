@@ -16,10 +16,10 @@ use crate::substitutes::SubstituteArgs;
 
 /// Render condition maps of a recording's frames from its skeleton: color, depth, class, instance, boxes, map
 ///
-/// Writes FRAME/CAM/MAP.png or .exr, or FRAME/maps.npz or conditions.safetensors (arrays V,H,W(,3) named like the
-/// maps, points V,20,H,W and layout V,6,H,W of the tensor, cameras in the order of index.json); FRAME/meta.json with
-/// poses and intrinsics; FRAME/sheet.png, a contact sheet of all maps; finally index.json. FRAME is the six-digit
-/// frame number, or the time with --at and --hz.
+/// Writes FRAME/CAM/MAP.png or .exr, or FRAME/maps.npz or conditions.safetensors (arrays V,H,W(,3) named like
+/// the maps, points V,20,H,W and layout V,6,H,W of the tensor, cameras in the order of index.json);
+/// FRAME/meta.json with poses and intrinsics; FRAME/sheet.png, a contact sheet of all maps; finally
+/// index.json. FRAME is the six-digit frame number, or the time with --at and --hz.
 #[derive(Debug, Args)]
 pub(crate) struct RenderArgs {
     /// Recording: FORMAT:PATH[@VERSION][#SCENE], like nuscenes:/data/nuscenes@v1.0-mini#scene-0061
@@ -41,18 +41,19 @@ pub(crate) struct RenderArgs {
     #[arg(long, value_name = "T_US,..", value_delimiter = ',', allow_hyphen_values = true)]
     #[arg(conflicts_with = "frames")]
     pub(super) at: Vec<i64>,
-    /// Render at this rate (0.1 to 100 per second) from the first to the last of the frames; ego and actors are
-    /// interpolated
+    /// Render at this rate (0.1 to 100 per second) from the first to the last of the frames; ego and actors
+    /// are interpolated
     #[arg(long, value_name = "F", value_parser = numbers::rate_hz, allow_negative_numbers = true)]
     #[arg(conflicts_with = "at")]
     pub(super) hz: Option<f64>,
     #[command(flatten)]
     pub(super) maps: MapArgs,
-    /// Also write FRAME/birdseye.png: bird's-eye view of 100 x 100 m around the ego, with HD map, boxes and cameras
+    /// Also write FRAME/birdseye.png: bird's-eye view of 100 x 100 m around the ego, with HD map, boxes and
+    /// cameras
     #[arg(long)]
     pub(super) birdseye: bool,
-    /// Move the ego in its own frame, like forward_m=1,left_m=-2,yaw_deg=5: meters forward and to the left, degrees to
-    /// the left
+    /// Move the ego in its own frame, like forward_m=1,left_m=-2,yaw_deg=5: meters forward and to the left,
+    /// degrees to the left
     #[arg(long, value_name = "left_m=M,..")]
     #[arg(conflicts_with = "cameras")]
     pub(super) ego_offset: Option<EgoOffset>,
@@ -60,8 +61,8 @@ pub(crate) struct RenderArgs {
     /// {"cameras": [{"name", "width", "height", "intrinsics": 3x3, "camera_from_world": 4x4}]}
     #[arg(long, value_name = "C.json")]
     pub(super) cameras: Option<PathBuf>,
-    /// Render with the lens distortion of the recorded cameras; every pixel is the nearest one of a pinhole image
-    /// [default: pinhole cameras]
+    /// Render with the lens distortion of the recorded cameras; every pixel is the nearest one of a pinhole
+    /// image [default: pinhole cameras]
     #[arg(long, conflicts_with = "cameras")]
     pub(super) distort: bool,
     /// Annotations for the prompt in meta.json: {"weather": "Sunny", "city": "Boston"}, both optional
@@ -111,7 +112,8 @@ impl RenderArgs {
         Inputs::new(log.inputs()).and([&self.skeleton]).and(files).and(self.stand_ins.inputs())
     }
 
-    /// Returns the maps to render of a log with or without an HD map; `None` if the HD map is requested but missing.
+    /// Returns the maps to render of a log with or without an HD map; `None` if the HD map is requested but
+    /// missing.
     pub(super) fn maps(&self, has_map: bool) -> Option<MapSet> {
         self.maps.kinds(has_map)
     }

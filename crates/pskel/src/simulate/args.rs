@@ -32,10 +32,10 @@ const FORECAST_STEPS: usize = 9;
 
 /// Simulate a recording in a closed loop: ego and other actors move by policies, and every step is rendered
 ///
-/// Writes steps/STEP with the maps (as render writes a frame), birdseye.png, view/MAP.jpg (images of the page) and
-/// state.json (for --resume); states.jsonl, one line per step; finally metrics.json, index.json, rollout.mp4 and
-/// index.html, a page that plays the rollout. If a planner fails, all of these are written for the steps before the
-/// failure.
+/// Writes steps/STEP with the maps (as render writes a frame), birdseye.png, view/MAP.jpg (images of the
+/// page) and state.json (for --resume); states.jsonl, one line per step; finally metrics.json, index.json,
+/// rollout.mp4 and index.html, a page that plays the rollout. If a planner fails, all of these are written
+/// for the steps before the failure.
 #[derive(Debug, Args)]
 pub(crate) struct SimulateArgs {
     /// Recording: FORMAT:PATH[@VERSION][#SCENE], like nuscenes:/data/nuscenes@v1.0-mini#scene-0061
@@ -49,15 +49,16 @@ pub(crate) struct SimulateArgs {
     /// Folder to write: a new or empty one, or an earlier rollout, which is replaced
     #[arg(long, value_name = "DIR", value_parser = log_args::output_folder())]
     pub(super) out: PathBuf,
-    /// Number of simulation steps; step 0 is the log's. A replayed ego stops when the log ends. With other policies
-    /// it drives on: only actors under a policy remain there, and the skeleton may have no points
+    /// Number of simulation steps; step 0 is the log's. A replayed ego stops when the log ends. With other
+    /// policies it drives on: only actors under a policy remain there, and the skeleton may have no points
     #[arg(long, value_name = "N")]
     pub(super) steps: usize,
     #[command(flatten)]
     policies: PolicyArgs,
     #[command(flatten)]
     pub(super) maps: MapArgs,
-    /// Also render the forecasts for the next planning steps at each planning step, as steps/STEP/forecast/STEP
+    /// Also render the forecasts for the next planning steps at each planning step, as
+    /// steps/STEP/forecast/STEP
     #[arg(long)]
     forecast_maps: bool,
     /// With --forecast-maps: number of forecast planning steps, 1 to 100
@@ -77,8 +78,9 @@ pub(crate) struct SimulateArgs {
     /// Write nothing below --out and only print the times, to measure the loop without output
     #[arg(long, conflicts_with_all = ["resume", "resume_from"])]
     pub(super) dry: bool,
-    /// Also write the rollout to an MCAP file for Foxglove, Lichtblick and Rerun, after its last step: images, poses, boxes,
-    /// plans, events and metrics. Maps need --format png; with --dry there are no images
+    /// Also write the rollout to an MCAP file for Foxglove, Lichtblick and Rerun, after its last step:
+    /// images, poses, boxes, plans, events and metrics. Maps need --format png; with --dry there are no
+    /// images
     #[cfg(feature = "mcap")]
     #[arg(long, value_name = "F.mcap")]
     pub(super) mcap: Option<PathBuf>,
@@ -100,7 +102,8 @@ pub(crate) struct SimulateArgs {
     /// Displacement of the ego at all frames; used by `pskel generate`.
     #[arg(skip)]
     ego_offset: Option<EgoOffset>,
-    /// Whether the policies take over with the first generated frame, as in the paper; used by `pskel protocol`.
+    /// Whether the policies take over with the first generated frame, as in the paper; used by `pskel
+    /// protocol`.
     #[arg(skip)]
     least_warmup: bool,
     /// Whether generated images replace those of a data set; used by `pskel generate`.
@@ -305,7 +308,8 @@ impl SimulateArgs {
         if self.forecast_maps { self.forecast } else { 0 }
     }
 
-    /// Returns the stride of the frames that are steps, `None` if steps are not frames, and the number of steps.
+    /// Returns the stride of the frames that are steps, `None` if steps are not frames, and the number of
+    /// steps.
     fn frames_of(&self, scenario: &Scenario<'_>) -> anyhow::Result<(Option<usize>, usize)> {
         let Some(EveryFrames(every)) = self.frames else { return Ok((None, self.steps)) };
         let frames = &scenario.log.frames;
@@ -334,7 +338,8 @@ impl SimulateArgs {
         self.frames.is_some()
     }
 
-    /// Returns the number of frames of the warm-up: at least as many as a generator with this `window` has references.
+    /// Returns the number of frames of the warm-up: at least as many as a generator with this `window` has
+    /// references.
     pub(super) fn warmup_frames(&self, window: Option<usize>) -> Result<usize, WrongUsage> {
         let (given, least) = (self.policies.warmup, window.map_or(0, |window| window - 1));
         if let Some(warmup) = given.filter(|warmup| *warmup < least) {
@@ -347,7 +352,8 @@ impl SimulateArgs {
         Ok(given.or(default).unwrap_or(SimOptions::default().warmup_frames))
     }
 
-    /// Checks that there are steps after the references of a generator with this `window`, if their images are needed.
+    /// Checks that there are steps after the references of a generator with this `window`, if their images
+    /// are needed.
     pub(super) fn check_steps(&self, steps: usize, window: Option<usize>) -> Result<(), WrongUsage> {
         let references = window.map_or(0, |window| window - 1);
         if !self.copies_dataset || steps + 1 > references {

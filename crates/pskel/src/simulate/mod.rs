@@ -1,5 +1,5 @@
-//! `pskel simulate`: [`args`] and [`policies`] define the options, [`generation`] opens the network, [`summary`] formats
-//! the last line.
+//! `pskel simulate`: [`args`] and [`policies`] define the options, [`generation`] opens the network,
+//! [`summary`] formats the last line.
 
 mod args;
 mod generation;

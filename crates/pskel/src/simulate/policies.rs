@@ -18,8 +18,8 @@ pub(super) struct PolicyArgs {
     /// With --ego file: place the path at the ego anew at each plan, instead of once at the takeover
     #[arg(long)]
     pub(super) reanchor: bool,
-    /// With --ego external: a command that communicates over its standard input and output, or the socket on which it
-    /// listens, unix:PATH or tcp:HOST:PORT
+    /// With --ego external: a command that communicates over its standard input and output, or the socket on
+    /// which it listens, unix:PATH or tcp:HOST:PORT
     #[arg(long, value_name = "COMMAND|ADDRESS", required_if_eq("ego", "external"))]
     pub(super) planner: Option<PlannerAddress>,
     /// Time-out for each answer of the planner, seconds
@@ -34,11 +34,12 @@ pub(super) struct PolicyArgs {
     /// Simulation steps per second [default: 12 for nuScenes, 10 for other logs]
     #[arg(long, value_name = "F", value_parser = numbers::rate_hz, allow_negative_numbers = true)]
     pub(super) sim_hz: Option<f64>,
-    /// Planning steps per second, a divisor of the simulation rate [default: 2 for nuScenes, 5 for other logs]
+    /// Planning steps per second, a divisor of the simulation rate [default: 2 for nuScenes, 5 for other
+    /// logs]
     #[arg(long, value_name = "F", value_parser = numbers::rate_hz, allow_negative_numbers = true)]
     pub(super) plan_hz: Option<f64>,
-    /// Warm-up in frames of a generator's window, one per planning step: the first (N - 1) * SIM_HZ / PLAN_HZ steps
-    /// follow the log [default: 1; with --generator its window]
+    /// Warm-up in frames of a generator's window, one per planning step: the first (N - 1) * SIM_HZ / PLAN_HZ
+    /// steps follow the log [default: 1; with --generator its window]
     #[arg(long, value_name = "N")]
     pub(super) warmup: Option<usize>,
     /// Start at this time, absolute microseconds [default: the log's first frame]

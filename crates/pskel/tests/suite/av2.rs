@@ -261,7 +261,8 @@ fn a_log_is_built_and_rendered_with_images_and_without() {
         let mut seen_by: Vec<usize> = on_car.iter().map(|i| i / pixels).collect();
         seen_by.dedup();
         assert_eq!(seen_by, [0, 1, 6]);
-        // Images are taken when the ego is 0.1 m further along; without images the camera is at the frame's own pose.
+        // Images are taken when the ego is 0.1 m further along; without images the camera is at the frame's
+        // own pose.
         let expected = if images { 7.9 } else { 8.0 };
         let in_front = || on_car.iter().filter(|i| **i < pixels);
         assert!(in_front().all(|i| (depth[*i] - expected).abs() < 2e-3), "{}", depth[on_car[0]]);
@@ -303,7 +304,8 @@ fn the_real_log_is_read_as_its_readme_says() {
     assert_eq!(log.tracks[bicycle].category, "vehicle.bicycle.bicycle");
 }
 
-/// Poses, boxes and sweeps are consistent: each box contains exactly the number of points that the file states.
+/// Poses, boxes and sweeps are consistent: each box contains exactly the number of points that the file
+/// states.
 #[test]
 fn real_boxes_hold_the_points_that_are_stated() {
     let Some(dataset) = real() else { return };
@@ -325,8 +327,8 @@ fn real_boxes_hold_the_points_that_are_stated() {
     assert_eq!(boxes, 162);
 }
 
-/// Projects points of the ego frame into the cameras: pixel and depth as computed by NumPy and SciPy from the same
-/// files.
+/// Projects points of the ego frame into the cameras: pixel and depth as computed by NumPy and SciPy from the
+/// same files.
 #[test]
 fn known_points_are_seen_where_they_should_be() {
     let Some(dataset) = real() else { return };

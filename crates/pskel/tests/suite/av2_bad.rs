@@ -1,5 +1,5 @@
-//! The Argoverse 2 reader on bad input of every kind. One part of a synthetic log is broken, and the message must
-//! name the expected and the found value, and the file.
+//! The Argoverse 2 reader on bad input of every kind. One part of a synthetic log is broken, and the message
+//! must name the expected and the found value, and the file.
 
 use std::sync::Arc;
 

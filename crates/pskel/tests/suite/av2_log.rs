@@ -1,7 +1,7 @@
 //! A synthetic log in Argoverse 2 layout, written with `arrow-ipc`'s writer.
 //!
-//! Three frames 100 ms apart. The ego drives 1 m per frame along x. The back of a car stays 8 m ahead of it; a sign
-//! is static. Seven ring cameras cover the surroundings; each takes an image 10 ms after a frame.
+//! Three frames 100 ms apart. The ego drives 1 m per frame along x. The back of a car stays 8 m ahead of it;
+//! a sign is static. Seven ring cameras cover the surroundings; each takes an image 10 ms after a frame.
 
 use std::fs::File;
 use std::path::{Path, PathBuf};
@@ -243,7 +243,8 @@ fn extrinsics() -> Columns {
     named(columns)
 }
 
-/// Returns the points of a sweep in the ego frame: the surrounding ground, and the back of the car as 11 by 7 points.
+/// Returns the points of a sweep in the ego frame: the surrounding ground, and the back of the car as 11 by 7
+/// points.
 fn sweep_columns() -> Columns {
     let ground = (0..60)
         .flat_map(|i| (0..40).map(move |j| [0.5 * f64::from(i) - 5.0, 0.5 * f64::from(j) - 10.0, 0.0]));

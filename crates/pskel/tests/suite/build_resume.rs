@@ -149,8 +149,8 @@ fn a_killed_build_goes_on_to_the_same_bytes() {
     let mut whole_ms = start.elapsed().as_millis() as u64;
     let checkpoint = folder.path().join("sk.partial/checkpoint.json");
     let (mut kills, mut resumed) = (0, 0);
-    // Kill times spread over the whole build, in no order. Other load makes builds slower or faster, so the times are
-    // repeated.
+    // Kill times spread over the whole build, in no order. Other load makes builds slower or faster, so the
+    // times are repeated.
     for share in [61, 23, 97, 42, 78, 88, 55].into_iter().cycle().take(70) {
         let resume = if checkpoint.is_file() { "--resume" } else { "" };
         let args = format!("build nuscenes:log --out sk --checkpoint 1 {resume}");
@@ -260,7 +260,8 @@ fn a_build_that_starts_anew_says_what_it_discards() {
     assert!(tree(&log.path("out/sk")) == older);
 }
 
-/// If cameras are slower than the LiDAR, one image serves two frames, as if the second frame had its own copy.
+/// If cameras are slower than the LiDAR, one image serves two frames, as if the second frame had its own
+/// copy.
 #[test]
 fn an_image_of_two_frames_colors_both() {
     let (_files, drive) = made_town::read();
@@ -322,7 +323,8 @@ fn logs_of_one_place_share_a_background() {
     assert!(summary.starts_with("built tiny, second from 6 frames"), "{summary}");
     let (one, both) =
         (Skeleton::open(&log.path("out/one")).unwrap(), Skeleton::open(&log.path("out/both")).unwrap());
-    // The second log is a copy of the first: each chunk holds the points of the first, then the same points again.
+    // The second log is a copy of the first: each chunk holds the points of the first, then the same points
+    // again.
     for (one, both) in one.background().unwrap().iter().zip(both.background().unwrap()) {
         assert!(both[..one.len()] == **one && both[one.len()..] == **one);
     }

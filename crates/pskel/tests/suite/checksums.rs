@@ -1,5 +1,5 @@
-//! Point files that changed on disk without changing length: no command uses them, and `pskel info --verify` lists
-//! them.
+//! Point files that changed on disk without changing length: no command uses them, and `pskel info --verify`
+//! lists them.
 
 use serde_json::{Value, json};
 

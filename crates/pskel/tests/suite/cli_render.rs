@@ -152,8 +152,8 @@ fn the_car_moves_in_the_image_as_the_ego_does() {
     assert_eq!(car(&log, frame, "000000").depth_m, 10.0);
 }
 
-/// Writes a map of the log's location: a drivable rectangle that extends 25 m ahead and 9 m to each side, with a
-/// hole, and a crossing across the view.
+/// Writes a map of the log's location: a drivable rectangle that extends 25 m ahead and 9 m to each side,
+/// with a hole, and a crossing across the view.
 fn write_map(log: &TinyLog) {
     let rings = [
         [[-5.0, -9.0], [25.0, -9.0], [25.0, 9.0], [-5.0, 9.0]],
@@ -195,14 +195,16 @@ fn the_map_is_drawn_where_the_log_has_one() {
     assert_eq!(index["options"]["birdseye"], true);
     let map = image::open(log.path("out/000000/CAM_FRONT/map.png")).unwrap().to_rgb8();
     assert_eq!((map.width(), map.height()), (WIDTH, HEIGHT));
-    // A level line x meters ahead is 48 * 1.5 / x rows below row 32 and 8 rows high: the crossing's far edge (9 m) is
-    // at row 40, the area's far edge (25 m) at row 35. The area ends 9 m to the sides, where its own edge is lower.
+    // A level line x meters ahead is 48 * 1.5 / x rows below row 32 and 8 rows high: the crossing's far edge
+    // (9 m) is at row 40, the area's far edge (25 m) at row 35. The area ends 9 m to the sides, where its own
+    // edge is lower.
     for (column, row, rgb) in
         [(48, 40, [255, 0, 0]), (48, 32, [0, 0, 255]), (10, 32, [0; 3]), (48, 30, [0; 3])]
     {
         assert_eq!(map.get_pixel(column, row), &image::Rgb(rgb), "column {column}, row {row}");
     }
-    // The drivable area's near left corner is behind the camera: its left edge leaves the image, 9 m to the left.
+    // The drivable area's near left corner is behind the camera: its left edge leaves the image, 9 m to the
+    // left.
     let left = |x: f64| [(48.0 - 48.0 * 9.0 / x) as u32, (32.0 + 72.0 / x) as u32];
     let [column, row] = left(12.0);
     assert_eq!(map.get_pixel(column, row), &image::Rgb([0, 0, 255]));

@@ -6,8 +6,8 @@ use std::path::{Path, PathBuf};
 use point_skeleton::dataset::{DatasetError, ImageRecord, LogReader, Recording, Sweep, SweepRecord};
 use point_skeleton::skeleton::{self, BuildInput, BuildOptions, BuildRun, Skeleton};
 
-/// Returns the folder of recordings and fixtures: `PSKEL_SHARED`, else `../shared` from the project's root. Returns
-/// `None` if neither exists; the caller then returns, and the test counts as skipped.
+/// Returns the folder of recordings and fixtures: `PSKEL_SHARED`, else `../shared` from the project's root.
+/// Returns `None` if neither exists; the caller then returns, and the test counts as skipped.
 pub(crate) fn shared(what: &str) -> Option<PathBuf> {
     let beside = || PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../../shared");
     let folder = std::env::var_os("PSKEL_SHARED").map_or_else(beside, PathBuf::from);
@@ -51,8 +51,8 @@ pub(crate) struct WithLog<'a> {
 }
 
 impl<'a> WithLog<'a> {
-    /// Keeps only the sweeps of some frames and drops all images, so that all points are retained, in gray. Boxes
-    /// stay, because they define the moving objects.
+    /// Keeps only the sweeps of some frames and drops all images, so that all points are retained, in gray.
+    /// Boxes stay, because they define the moving objects.
     pub(crate) fn grey(drive: &'a dyn LogReader, kept: &[usize]) -> Self {
         let mut log = drive.recording().clone();
         for (index, frame) in log.frames.iter_mut().enumerate() {

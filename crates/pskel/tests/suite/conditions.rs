@@ -1,4 +1,5 @@
-//! Condition maps: resizing and bins compared with other implementations, render passes compared with the contract.
+//! Condition maps: resizing and bins compared with other implementations, render passes compared with the
+//! contract.
 
 use std::sync::Arc;
 
@@ -95,7 +96,8 @@ fn wall(distance_m: f32, half_width_m: f32, rgb: [u8; 3], class: u8) -> Vec<Poin
     (0..(steps + 1) * (steps + 1)).map(point).collect()
 }
 
-/// An ego at large coordinates, a far wall, a car 8 m ahead and a near background wall that hides half of the car.
+/// An ego at large coordinates, a far wall, a car 8 m ahead and a near background wall that hides half of the
+/// car.
 struct Street {
     clouds: Vec<Vec<Point>>,
     instances: SceneInstances,
@@ -219,8 +221,8 @@ fn moving_world_and_ego_together_changes_nothing() {
     assert_eq!(moved.render(&options), set);
 }
 
-/// Returns a map whose areas start at given distances ahead of the ego, meters, and extend past the clip range on all
-/// sides.
+/// Returns a map whose areas start at given distances ahead of the ego, meters, and extend past the clip
+/// range on all sides.
 fn map_ahead(ego: Pose, [lane, drivable, hole, crossing]: [f64; 4]) -> SceneMap {
     let ring = |from: f64| {
         let corners = [[from, 110.0], [from, -110.0], [100.0, -110.0], [100.0, 110.0]];
@@ -248,9 +250,9 @@ fn map_layouts_have_the_colors_of_the_contract_row_by_row() {
     street.state.map = Some(Arc::new(map));
     let set = street.render(&options);
     assert!(set.cameras[0].boxes.is_none() && set.cameras[0].color.is_none());
-    // The camera is 1 m up: a line x meters ahead is 40 / x rows below row 18, and extends 4 px to either side. The
-    // drivable area's line at row 22 is drawn over the lane's at row 20, and the crossing's at row 26 over both; the
-    // hole's line at row 34 does not overlap them.
+    // The camera is 1 m up: a line x meters ahead is 40 / x rows below row 18, and extends 4 px to either
+    // side. The drivable area's line at row 22 is drawn over the lane's at row 20, and the crossing's at row
+    // 26 over both; the hole's line at row 34 does not overlap them.
     let (green, blue, red) = ([0, 255, 0], [0, 0, 255], [255, 0, 0]);
     let row = |row: usize| match row {
         0..16 => [0; 3],

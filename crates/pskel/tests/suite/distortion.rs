@@ -124,8 +124,8 @@ impl Wall {
     }
 }
 
-/// Returns the maximum distance between a pixel's center and the projection of the point it shows, and the number of
-/// empty pixels.
+/// Returns the maximum distance between a pixel's center and the projection of the point it shows, and the
+/// number of empty pixels.
 fn farthest_px(wall: &Wall, camera: usize, set: &ConditionSet) -> (f64, usize) {
     let view = &wall.state.cameras[camera].view;
     let camera = &set.cameras[camera];
@@ -232,7 +232,8 @@ fn what_cannot_be_distorted_is_an_error() {
         let area = ConditionOptions { color_filter, ..ConditionOptions::default() };
         assert!(matches!(Distorter::new(&area), Err(ConditionError::DistortedArea)));
     }
-    // A crop of the corner of a wide image: there the lens shows points that a pinhole sees far outside the image.
+    // A crop of the corner of a wide image: there the lens shows points that a pinhole sees far outside the
+    // image.
     let mut view = view("corner", BARREL);
     view.camera.intrinsics.z_axis = DVec3::new(-80.0, -44.0, 1.0);
     (view.camera.width, view.camera.height) = (8, 4);

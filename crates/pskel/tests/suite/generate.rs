@@ -276,8 +276,8 @@ fn every_frame_is_finished_when_it_comes() {
         let expected: Vec<Latent> = drive.committed[3..].iter().map(|c| c.get().clone()).collect();
         assert_near(&frames, &expected, 1e-5);
         let calls = match strategy {
-            // The references pass through the window first, two calls each; at the end all four frames of the window
-            // do.
+            // The references pass through the window first, two calls each; at the end all four frames of the
+            // window do.
             Strategy::Rolling => 2 * (3 + 8) + 4 * 8,
             _ => 12 * 8,
         };

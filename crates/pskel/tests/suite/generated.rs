@@ -218,7 +218,8 @@ fn a_denoiser_that_fails_leaves_a_rollout_that_can_go_on() {
     }
 }
 
-/// Denoiser with its own encoder: its latents are one channel of 2 x 2, the mean gray of quarters of 16 x 24 images.
+/// Denoiser with its own encoder: its latents are one channel of 2 x 2, the mean gray of quarters of 16 x 24
+/// images.
 const WITH_CODEC: &str = "\
 def serve(source, out):
     told = denoiser.read(source)[0]

@@ -1,12 +1,14 @@
 //! Hashes of a skeleton, of maps and of a rollout, recorded once: a change of structure must not change them.
 //!
-//! `ci/golden.py` does the same for recordings and the synthetic town, to compare two versions of the program.
+//! `ci/golden.py` does the same for recordings and the synthetic town, to compare two versions of the
+//! program.
 
 use twox_hash::XxHash3_64;
 
 use crate::tiny_log::{TinyLog, tree};
 
-/// Hash of the names and bytes of the files below a folder that neither hold the program's version nor options.
+/// Hash of the names and bytes of the files below a folder that neither hold the program's version nor
+/// options.
 fn hash_of(log: &TinyLog, folder: &str) -> u64 {
     const LEFT_OUT: [&str; 6] =
         ["skeleton.json", "index.json", "index.html", "rollout.json", "metrics.json", ".pskel-files"];

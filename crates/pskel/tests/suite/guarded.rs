@@ -11,7 +11,8 @@ use crate::tiny_log::PSKEL;
 
 /// Time limit of a run. Debug builds on busy machines are slow; a read from a FIFO never returns.
 const MAX_TIME: Duration = Duration::from_secs(60);
-/// Address space limit of a run, KiB. Threads and libraries need some of it; a device read as a file would use all.
+/// Address space limit of a run, KiB. Threads and libraries need some of it; a device read as a file would
+/// use all.
 const MAX_MEMORY_KIB: u64 = 6 << 20;
 
 /// Result of a run.
@@ -68,8 +69,8 @@ fn text(mut file: std::fs::File) -> String {
     String::from_utf8_lossy(&bytes).into_owned()
 }
 
-/// Lists the content of a folder: types, and sizes and hashes of files. Follows no links and opens only regular
-/// files.
+/// Lists the content of a folder: types, and sizes and hashes of files. Follows no links and opens only
+/// regular files.
 pub(crate) fn listing(folder: &Path) -> BTreeMap<String, String> {
     let mut all = BTreeMap::new();
     for entry in std::fs::read_dir(folder).unwrap() {

@@ -30,7 +30,8 @@ fn eight_cameras_at_half_the_rate_serve_every_frame() {
         assert_eq!((sweep.t_us, sweep.global_from_ego.translation), (frame.t_us, ego_at(i as f64)));
         assert_eq!(sweep.ego_from_lidar.translation, DVec3::Z * LIDAR_Z);
         for (channel, image) in frame.images.iter().enumerate() {
-            // The image is 5 ms late or 45 ms early: two consecutive frames share an image, with that image's pose.
+            // The image is 5 ms late or 45 ms early: two consecutive frames share an image, with that image's
+            // pose.
             let shot = i / 2;
             assert_eq!((image.channel, &image.camera.name), (channel, &log.cameras[channel]));
             assert_eq!(image.t_us, FIRST_US + 2 * STEP_US * shot as i64 + DELAY_US);
@@ -190,7 +191,8 @@ fn images_that_no_frame_is_near_lie_between_frames() {
     ));
     let dataset = made.open().unwrap();
     let between: Vec<usize> = dataset.recording().frames.iter().map(|f| f.between_images.len()).collect();
-    // The image at 30 ms is closer to the frame at 50 ms than the one at 5 ms, which still serves the frame at 0 ms.
+    // The image at 30 ms is closer to the frame at 50 ms than the one at 5 ms, which still serves the frame
+    // at 0 ms.
     assert_eq!(between, [0; 4]);
     assert_eq!(dataset.recording().frames[1].images[3].t_us, FIRST_US + 30_000);
     made.sql(&format!("UPDATE image SET timestamp = timestamp - 3000 WHERE token = {};", token('i', 99)));

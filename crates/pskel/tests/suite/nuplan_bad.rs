@@ -1,5 +1,5 @@
-//! The nuPlan reader on bad input of every kind. One part of a synthetic log is broken, and the message must name the
-//! expected and the found value, and the file.
+//! The nuPlan reader on bad input of every kind. One part of a synthetic log is broken, and the message must
+//! name the expected and the found value, and the file.
 
 use point_skeleton::dataset::nuplan::NuPlan;
 use point_skeleton::dataset::{LogLocator, LogReader, MissingData};

@@ -1,4 +1,5 @@
-//! A synthetic nuPlan log with a map, four frames at 20 Hz and eight cameras at 10 Hz, and functions that break it.
+//! A synthetic nuPlan log with a map, four frames at 20 Hz and eight cameras at 10 Hz, and functions that
+//! break it.
 
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
@@ -20,7 +21,8 @@ pub(crate) const FIRST_US: i64 = 1_600_000_000_000_000;
 pub(crate) const STEP_US: i64 = 50_000;
 /// Delay of an image after its frame, microseconds.
 pub(crate) const DELAY_US: i64 = 5_000;
-/// Start position of the ego, global meters. It drives 1 m per frame along x, 0.1 m between a frame and its images.
+/// Start position of the ego, global meters. It drives 1 m per frame along x, 0.1 m between a frame and its
+/// images.
 pub(crate) const START: DVec3 = DVec3::new(664_460.0, 3_997_715.0, 600.0);
 pub(crate) const CAMERA_Z: f64 = 1.5;
 pub(crate) const LIDAR_Z: f64 = 1.8;
@@ -162,7 +164,8 @@ pub(crate) fn car_at(frame: usize) -> DVec3 {
     ego_at(frame as f64) + DVec3::new(12.0, 0.0, 0.75)
 }
 
-/// Returns position and device of the points: the ground around the ego, and the car's back as seen by two devices.
+/// Returns position and device of the points: the ground around the ego, and the car's back as seen by two
+/// devices.
 fn sweep_points(frame: usize) -> Vec<(DVec3, u8)> {
     let mut points = Vec::new();
     for i in 0..80 {
@@ -321,8 +324,8 @@ pub(crate) fn geometry(is_polygon: bool, points: &[[f64; 2]]) -> String {
     hex + "'"
 }
 
-/// Returns the statements that create the map: a lane, a connector after it, a lane after that, all of the same
-/// shape.
+/// Returns the statements that create the map: a lane, a connector after it, a lane after that, all of the
+/// same shape.
 fn map_tables() -> String {
     let ring = [[WEST, SOUTH], [WEST, NORTH], [EAST, NORTH], [EAST, SOUTH], [WEST, SOUTH]];
     let (area, line) = (geometry(true, &ring), geometry(false, &ring[..2]));

@@ -143,8 +143,8 @@ fn project_alike(image: &ImageRecord, twin: &ImageRecord, frame: &point_skeleton
     seen
 }
 
-/// Builds a skeleton that retains the ego's own returns: which points count as such depends on the LiDAR's origin,
-/// which differs between the layouts.
+/// Builds a skeleton that retains the ego's own returns: which points count as such depends on the LiDAR's
+/// origin, which differs between the layouts.
 fn skeleton(out: &Path, drive: &dyn LogReader) -> Skeleton {
     let mut options = BuildOptions { voxel_m: 0.0, ..BuildOptions::default() };
     options.split.ego_clearance_m = 0.0;
@@ -194,8 +194,8 @@ fn background_points_are_within_two_millimeters_of_the_other_layout() {
     // The comparison can fail: moved by 5 mm, most points have no match.
     let moved: Vec<[f64; 3]> = near.iter().step_by(50).map(|[x, y, z]| [*x, *y, z + 0.005]).collect();
     assert!(lonely(&moved, &far).len() > moved.len() / 2);
-    // A point near the side of a box, or of the volume it sweeps, may be inside in one layout and outside in the
-    // other.
+    // A point near the side of a box, or of the volume it sweeps, may be inside in one layout and outside in
+    // the other.
     let log = nuscenes.recording();
     let frames: Vec<_> = log.frames.iter().collect();
     let trajectories = Trajectories::new(log, &frames);
@@ -277,8 +277,8 @@ fn is_in_area(point: DVec2, exterior: &[DVec2], holes: &[Vec<DVec2>]) -> bool {
     is_in_ring(point, exterior) && !holes.iter().any(|hole| is_in_ring(point, hole))
 }
 
-/// The drivable area of the other layout is one polygon; here it consists of four layers, one of which is the whole
-/// junction.
+/// The drivable area of the other layout is one polygon; here it consists of four layers, one of which is the
+/// whole junction.
 #[test]
 fn the_drivable_area_covers_that_of_the_other_layout() {
     let Some(folder) = folder() else { return };

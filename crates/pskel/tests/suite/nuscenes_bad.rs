@@ -1,5 +1,5 @@
-//! The nuScenes reader on bad input of every kind. A short log is written, one part is broken, and the message must
-//! name the expected and the found value, and the file.
+//! The nuScenes reader on bad input of every kind. A short log is written, one part is broken, and the
+//! message must name the expected and the found value, and the file.
 
 use std::path::PathBuf;
 
@@ -275,8 +275,8 @@ fn what_is_left_out_is_counted() {
     assert_eq!(notes, expected);
 }
 
-/// Adds a sweep or image that is not a key frame: a copy of the sensor's key frame in the last sample, at another
-/// time.
+/// Adds a sweep or image that is not a key frame: a copy of the sensor's key frame in the last sample, at
+/// another time.
 fn add_between(records: &mut Vec<Value>, channel: &str, t_us: i64) {
     let of_channel = |r: &&Value| r["filename"].as_str().unwrap().contains(&format!("/{channel}/"));
     let mut copy = records.iter().rfind(of_channel).unwrap().clone();

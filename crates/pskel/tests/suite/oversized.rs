@@ -1,5 +1,5 @@
-//! Small files with large demands: endless SQL views, columns that unpack to gigabytes, corners shared by many
-//! records, times whose differences overflow.
+//! Small files with large demands: endless SQL views, columns that unpack to gigabytes, corners shared by
+//! many records, times whose differences overflow.
 
 use std::sync::Arc;
 

@@ -15,8 +15,8 @@ use crate::tiny_log::with_default_signals;
 /// Maximum time by which processes may outlive the program.
 const MAX_TIME: Duration = Duration::from_secs(2);
 
-/// Returns a command that neither reads nor answers nor ends, with a child and a grandchild; all ignore termination
-/// signals. Each writes its process id to a file.
+/// Returns a command that neither reads nor answers nor ends, with a child and a grandchild; all ignore
+/// termination signals. Each writes its process id to a file.
 fn planner(folder: &Path) -> String {
     let at = |name: &str| folder.join(name).display().to_string();
     let sleep =

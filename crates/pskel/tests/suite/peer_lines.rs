@@ -13,8 +13,8 @@ struct Peer {
     runs: Vec<u16>,
 }
 
-/// Returns how many pixels of `number` in one image have no such pixel within 1 px in the other, and their total
-/// number.
+/// Returns how many pixels of `number` in one image have no such pixel within 1 px in the other, and their
+/// total number.
 fn far_off(number: u8, one: &[u8], other: &[u8], width: usize) -> [usize; 2] {
     let pixels: Vec<usize> = (0..one.len()).filter(|i| one[*i] == number).collect();
     let near = |i: &&usize| {

@@ -28,7 +28,8 @@ fn single_sweeps() -> Option<(NuScenes, Vec<Skeleton>, TempDir)> {
     Some((drive, built.into(), folder))
 }
 
-/// Counts the background points of a sweep, and those in a box of its frame more than `ground_m` above the floor.
+/// Counts the background points of a sweep, and those in a box of its frame more than `ground_m` above the
+/// floor.
 fn background_in_boxes(skeleton: &Skeleton, frame: &Frame, ground_m: f64) -> [usize; 2] {
     // Half a millimeter for the rounding of f32.
     const ROUNDING_M: f64 = 5e-4;

@@ -135,8 +135,8 @@ fn a_rollout_leaves_all_its_files() {
     );
     let (width, height, pictures, rate) = video(&log.path("out/rollout.mp4"));
     assert_eq!((pictures, rate), (9, 12.0));
-    // One large map, two of half its size below it, and the bird's-eye view beside them at their total height; text
-    // on top.
+    // One large map, two of half its size below it, and the bird's-eye view beside them at their total
+    // height; text on top.
     let sheet = &page(&log, "out")["sheet"];
     let side = |name: &str| sheet[name].as_u64().unwrap() as u16;
     let above = side("height") + 4 + side("height") / 2;
@@ -383,8 +383,8 @@ fn trajectories_of_any_length_are_driven_and_bad_ones_told() {
 #[test]
 fn a_full_disk_leaves_whole_steps_and_lines() {
     let log = built();
-    // First without room even for the options; then with enough KiB for the files of each step, but not for all state
-    // lines.
+    // First without room even for the options; then with enough KiB for the files of each step, but not for
+    // all state lines.
     log.succeed(&format!("{SIMULATE} --maps boxes --steps 60 --ego straight"));
     let whole = tree(&log.path("out"));
     let largest =

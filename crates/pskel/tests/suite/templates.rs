@@ -59,8 +59,8 @@ fn write_skeleton(path: &Path, log: &str, actors: Vec<(Asset, Vec<Point>)>) {
 const SEDAN: [f64; 3] = [4.6, 1.9, 1.5];
 const BUS: [f64; 3] = [12.0, 3.0, 3.3];
 
-/// Writes two skeletons. The first has a vehicle as long as a bus, a car and a cone; the second has a car without
-/// points, and a truck with few points.
+/// Writes two skeletons. The first has a vehicle as long as a bus, a car and a cone; the second has a car
+/// without points, and a truck with few points.
 fn two_skeletons(log: &TinyLog) {
     let first = vec![
         asset("bus", "vehicle", BUS, shell(BUS)),

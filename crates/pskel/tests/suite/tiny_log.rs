@@ -1,8 +1,8 @@
 //! A synthetic log in nuScenes layout, and functions that run the command on it.
 //!
-//! Three frames half a second apart. The ego drives 1 m per frame along x; a car ahead of it drives 2 m per frame
-//! (its back is 10, 11, 12 m away); a cone and a wall are static. One camera looks forward, one back, both with 90
-//! degrees.
+//! Three frames half a second apart. The ego drives 1 m per frame along x; a car ahead of it drives 2 m per
+//! frame (its back is 10, 11, 12 m away); a cone and a wall are static. One camera looks forward, one back,
+//! both with 90 degrees.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -107,8 +107,8 @@ impl TinyLog {
     }
 }
 
-/// Returns the command with default handling of signals, which a parent process may have set to be ignored (nohup, a
-/// background job).
+/// Returns the command with default handling of signals, which a parent process may have set to be ignored
+/// (nohup, a background job).
 pub(crate) fn with_default_signals() -> Command {
     let mut command = Command::new("env");
     command.args(["--default-signal=HUP,INT,TERM", PSKEL]);

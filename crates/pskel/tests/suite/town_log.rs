@@ -1,4 +1,5 @@
-//! The built-in town as a log: the recording agrees with the ground truth, and written logs are read unchanged.
+//! The built-in town as a log: the recording agrees with the ground truth, and written logs are read
+//! unchanged.
 
 use std::collections::BTreeMap;
 
@@ -25,7 +26,8 @@ fn close(a: &Pose, b: &Pose) -> bool {
     a.rotation.angle_between(b.rotation) < 1e-7 && (a.translation - b.translation).length() < 1e-9
 }
 
-/// A log with a moved ego has the states of the log seen from the moved ego; a recorded log has no images there.
+/// A log with a moved ego has the states of the log seen from the moved ego; a recorded log has no images
+/// there.
 #[test]
 fn a_moved_ego_takes_its_cameras_along() {
     let offset = EgoOffset { forward_m: 0.5, left_m: 2.0, yaw_deg: 6.0 };
@@ -183,8 +185,8 @@ fn the_same_options_give_the_same_bytes() {
     assert!(made(3).read_map().unwrap() != made(4).read_map().unwrap());
 }
 
-/// The LiDAR's rays and the triangle pipeline render the same town: points agree with the depth map. The back camera
-/// fires at the timestamp of the sweep.
+/// The LiDAR's rays and the triangle pipeline render the same town: points agree with the depth map. The back
+/// camera fires at the timestamp of the sweep.
 #[test]
 fn the_lidar_and_the_cameras_agree() {
     let town = town();
@@ -225,7 +227,8 @@ fn the_lidar_and_the_cameras_agree() {
     assert!(moved[0].depth_m != seen.depth_m);
 }
 
-/// Points in the boxes of static actors: none sticks out, and at least half of the actors near the ego have points.
+/// Points in the boxes of static actors: none sticks out, and at least half of the actors near the ego have
+/// points.
 #[test]
 fn boxes_hold_their_actors() {
     let town = town();

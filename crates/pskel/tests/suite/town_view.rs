@@ -1,4 +1,5 @@
-//! Ground-truth views of the town: maps compared with rays cast in `f64`, color compared with values known by hand.
+//! Ground-truth views of the town: maps compared with rays cast in `f64`, color compared with values known by
+//! hand.
 //!
 //! All tests run under the validation layer and fail on any message.
 
@@ -35,8 +36,8 @@ fn at(place: DVec3, yaw: f64) -> DAffine3 {
     DAffine3::from_rotation_translation(DQuat::from_rotation_z(yaw), place)
 }
 
-/// Returns a scene: a wall, two boxes in front of it, leaning slabs, ground that extends behind the camera, a rail
-/// beside it.
+/// Returns a scene: a wall, two boxes in front of it, leaning slabs, ground that extends behind the camera, a
+/// rail beside it.
 fn scene() -> (Vec<Mesh>, Vec<MeshDraw>) {
     let block = |min: [f64; 3], max: [f64; 3], surface| {
         let mut mesh = Mesh::default();
@@ -106,8 +107,9 @@ impl Rays {
     }
 }
 
-/// Returns the distance from an edge, pixels, within which a device may resolve to the other side: it rounds corners
-/// to its sub-pixel steps and clips at the near plane. A hundredth of a pixel with lavapipe's 256 steps.
+/// Returns the distance from an edge, pixels, within which a device may resolve to the other side: it rounds
+/// corners to its sub-pixel steps and clips at the near plane. A hundredth of a pixel with lavapipe's 256
+/// steps.
 fn hair_px(device: &Device) -> f64 {
     2.56 / f64::from(device.limits().sub_pixel_precision_bits).exp2()
 }
@@ -191,8 +193,8 @@ fn srgb(linear: f64) -> u8 {
 
 #[test]
 fn edges_are_blended_in_linear_light() {
-    // A white sheet at 10 m whose corner lies at pixel (20.3, 11.7). Of the samples of pixel 20 at 20, 20.5 and 21,
-    // with weights 1, 2 and 1, two are white; of those of row 11 one is white.
+    // A white sheet at 10 m whose corner lies at pixel (20.3, 11.7). Of the samples of pixel 20 at 20, 20.5
+    // and 21, with weights 1, 2 and 1, two are white; of those of row 11 one is white.
     let focal = 50.0;
     let view = view([30, 40], focal, DVec3::ZERO, [0.0; 3]);
     let [k, c] = [view.camera.intrinsics.x_axis.x, view.camera.intrinsics.z_axis.x];

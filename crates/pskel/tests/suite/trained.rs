@@ -1,5 +1,5 @@
-//! From towns to weights, images, scores and tables: `pskel train`, `generate`, `evaluate` and `ablate` through the
-//! command line.
+//! From towns to weights, images, scores and tables: `pskel train`, `generate`, `evaluate` and `ablate`
+//! through the command line.
 
 use std::collections::BTreeMap;
 use std::path::Path;

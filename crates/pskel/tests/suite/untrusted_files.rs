@@ -1,4 +1,5 @@
-//! File names in data sets, and devices, FIFOs, folders and files outside the data set in place of regular files.
+//! File names in data sets, and devices, FIFOs, folders and files outside the data set in place of regular
+//! files.
 
 use std::os::unix::fs::symlink;
 use std::os::unix::net::UnixListener;

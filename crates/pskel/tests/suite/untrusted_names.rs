@@ -9,8 +9,8 @@ use crate::guarded::{Ended, listing, run};
 use crate::nuplan_made::{LOG, Made};
 use crate::tiny_log::TinyLog;
 
-/// Camera names that are refused; `OUTSIDE` is replaced by a folder beside the data set. The output is five levels
-/// below the folder that is checked for changes.
+/// Camera names that are refused; `OUTSIDE` is replaced by a folder beside the data set. The output is five
+/// levels below the folder that is checked for changes.
 const BAD: [&str; 34] = [
     "",
     ".",

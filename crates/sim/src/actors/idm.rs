@@ -21,7 +21,8 @@ const IDM: Idm = Idm {
     gap_floor_m: 1.0,
     keeps_min_gap: false,
 };
-/// Minimum distance between points of a path, meters: smaller motion is the noise of a standing actor's boxes.
+/// Minimum distance between points of a path, meters: smaller motion is the noise of a standing actor's
+/// boxes.
 const KNOT_STEP_M: f64 = 0.5;
 /// An actor is parked if it later moves less than this in total and is slower than `PARKED_MPS` now.
 const PARKED_M: f64 = 1.0;
@@ -42,8 +43,8 @@ pub(crate) struct Follower {
 }
 
 impl Follower {
-    /// Creates a follower of an actor's recorded boxes from a time (microseconds) on; `None` for a parked actor,
-    /// which stays on the log.
+    /// Creates a follower of an actor's recorded boxes from a time (microseconds) on; `None` for a parked
+    /// actor, which stays on the log.
     pub(super) fn join(recorded: &Recorded<'_>, actor: &SimActor, t_us: i64) -> Option<Self> {
         let boxes = recorded.boxes_of(actor.track);
         let later = boxes.iter().filter(|(at, _)| *at > t_us).map(|(_, cuboid)| cuboid.pose);
@@ -64,7 +65,8 @@ impl Follower {
             [_] if actor.speed_mps < 0.0 => -1.0,
             _ => 1.0,
         };
-        // Beyond the last box the path follows that box's heading; the direction between the last two boxes is noisy.
+        // Beyond the last box the path follows that box's heading; the direction between the last two boxes
+        // is noisy.
         let last = poses[poses.len() - 1];
         poses.push(Pose { translation: last.translation + (heading(&last) * sign).extend(0.0), ..last });
         let speed_mps = (sign * actor.speed_mps).max(0.0);
@@ -72,8 +74,8 @@ impl Follower {
         Some(Self { joined_us: t_us, way_m: 0.0, speed_mps, path, sign })
     }
 
-    /// Moves the follower to a position (meters) on its path with a speed (meters per second); `None` if either is
-    /// negative.
+    /// Moves the follower to a position (meters) on its path with a speed (meters per second); `None` if
+    /// either is negative.
     pub(super) fn placed(self, way_m: f64, speed_mps: f64) -> Option<Self> {
         let is_sound = way_m >= 0.0 && speed_mps >= 0.0;
         is_sound.then_some(Self { way_m, speed_mps, ..self })
@@ -98,9 +100,9 @@ impl Follower {
     }
 }
 
-/// Advances position (meters) and speed (meters per second) by one forward Euler step of the Intelligent Driver
-/// Model, as in nuPlan. The speed may become negative. The acceleration is limited to -2 to 1 m/s²; gaps below
-/// 1 m count as 1 m.
+/// Advances position (meters) and speed (meters per second) by one forward Euler step of the Intelligent
+/// Driver Model, as in nuPlan. The speed may become negative. The acceleration is limited to -2 to 1 m/s²;
+/// gaps below 1 m count as 1 m.
 pub fn idm_step((way_m, speed_mps): (f64, f64), leader: Option<Leader>, dt_s: f64) -> (f64, f64) {
     let rise = IDM.acceleration_mps2(speed_mps, leader).clamp(-IDM.braking_mps2, IDM.acceleration_mps2);
     (way_m + dt_s * speed_mps, speed_mps + dt_s * rise)

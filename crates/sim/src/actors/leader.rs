@@ -35,8 +35,8 @@ impl Others {
         Self { bodies: now.actors.iter().map(actor).chain([ego]).collect() }
     }
 
-    /// Returns the nearest other road user in the corridor along a path. The corridor is `width_m` wide and extends
-    /// from the follower's front (a station, meters) over the look-ahead distance.
+    /// Returns the nearest other road user in the corridor along a path. The corridor is `width_m` wide and
+    /// extends from the follower's front (a station, meters) over the look-ahead distance.
     pub(super) fn leader(&self, track: usize, way: &Polyline, front_m: f64, width_m: f64) -> Option<Leader> {
         let (front, _) = way.at(front_m);
         let near = |body: &&Body| {
@@ -64,7 +64,8 @@ impl Others {
     }
 }
 
-/// Returns the contact with a body in a straight corridor segment that begins `start_m` in front of the follower.
+/// Returns the contact with a body in a straight corridor segment that begins `start_m` in front of the
+/// follower.
 fn met(corridor: &Footprint, body: &Body, start_m: f64) -> Option<Leader> {
     let reach_m = corridor.radius_m() + body.footprint.radius_m();
     if corridor.center.distance(body.footprint.center) > reach_m {
@@ -86,7 +87,8 @@ mod tests {
         Polyline::new(points.map(DVec2::from)).unwrap()
     }
 
-    /// Returns the leader of a car of 4 m by 2 m centered at x = -30 m, among the ego at the origin and others.
+    /// Returns the leader of a car of 4 m by 2 m centered at x = -30 m, among the ego at the origin and
+    /// others.
     fn leader(others: &[SimActor]) -> Option<Leader> {
         let me = actor(9, -30.0, 0.0, 0.0, 8.0);
         let all: Vec<SimActor> = others.iter().copied().chain([me]).collect();
@@ -135,7 +137,8 @@ mod tests {
         assert_eq!(leader(&parked), leader(&[]));
         assert_eq!(leader(&[actor(0, -34.1, 0.0, 0.0, 9.0)]), leader(&[]));
         assert_eq!(leader(&[actor(0, -30.0, 1.9, 0.0, 9.0)]), leader(&[]), "side by side");
-        // Around the corner: 48 m to it, then up to the rear bumper. A car beyond the look-ahead distance is ignored.
+        // Around the corner: 48 m to it, then up to the rear bumper. A car beyond the look-ahead distance is
+        // ignored.
         let around = |y: f64| actor(0, 20.0, y, std::f64::consts::FRAC_PI_2, 4.0);
         let me = actor(9, -30.0, 0.0, 0.0, 8.0);
         let mut now = instant(5.0, &[around(40.0), me]);

@@ -1,10 +1,11 @@
 //! Motion of all road users except the ego.
 //!
 //! # How it works
-//! After the warm-up, a policy takes over each actor that it supports as soon as the actor is near the ego. The other
-//! actors follow the log and are removed when their track ends. An actor under a policy continues beyond the end of
-//! its track. It is removed permanently once it is far from the ego, because it could only jump back to its logged
-//! position. All actors react to the same state, so the result does not depend on their order.
+//! After the warm-up, a policy takes over each actor that it supports as soon as the actor is near the ego.
+//! The other actors follow the log and are removed when their track ends. An actor under a policy continues
+//! beyond the end of its track. It is removed permanently once it is far from the ego, because it could only
+//! jump back to its logged position. All actors react to the same state, so the result does not depend on
+//! their order.
 
 mod idm;
 mod leader;

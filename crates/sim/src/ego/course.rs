@@ -28,8 +28,8 @@ impl Course {
         Waypoint { t_us, x_m: place.x, y_m: place.y, heading_rad, speed_mps: drive.speed_mps }
     }
 
-    /// Returns the yaws (radians) at the points of a path: the bisector of the adjacent segments, or the segment's
-    /// yaw at an end.
+    /// Returns the yaws (radians) at the points of a path: the bisector of the adjacent segments, or the
+    /// segment's yaw at an end.
     pub(super) fn headings_of(way: &Polyline) -> Vec<f64> {
         let pieces: Vec<f64> = way.points().windows(2).map(|w| (w[1] - w[0]).to_angle()).collect();
         let at = |i: usize| {

@@ -7,8 +7,8 @@ use super::course::Course;
 use super::preset;
 use crate::{EgoState, LocalPath};
 
-/// Returns the course along a path for an ego at its anchor, with the speeds of presets; `None` if the ego's pose
-/// is not finite.
+/// Returns the course along a path for an ego at its anchor, with the speeds of presets; `None` if the ego's
+/// pose is not finite.
 pub(super) fn course(path: &LocalPath, start_us: i64, ego: &EgoState) -> Option<Course> {
     let forward = DVec2::from_angle(ego.heading_rad());
     let global = |[x, y]: [f64; 2]| ego.position_m() + forward * x + forward.perp() * y;

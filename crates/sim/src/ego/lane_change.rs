@@ -1,11 +1,11 @@
 //! Lane change of one lane to the right.
 //!
 //! # How it works
-//! The recorded path from the takeover on is smoothed. The lateral offset from it moves from the ego's position to
-//! one lane on the right, as a quintic in the station with zero slope and curvature at its end. The resulting path
-//! has a continuous heading and curvature. The quintic spans the distance driven in 4 s, but has a minimum length so
-//! that a slow ego does not turn sharply. Along this path the speed changes to 10 m/s within limits of acceleration
-//! and jerk.
+//! The recorded path from the takeover on is smoothed. The lateral offset from it moves from the ego's
+//! position to one lane on the right, as a quintic in the station with zero slope and curvature at its end.
+//! The resulting path has a continuous heading and curvature. The quintic spans the distance driven in 4 s,
+//! but has a minimum length so that a slow ego does not turn sharply. Along this path the speed changes to 10
+//! m/s within limits of acceleration and jerk.
 
 use glam::DVec2;
 use point_skeleton::geometry::{Polyline, wrap_angle};
@@ -26,8 +26,8 @@ const CHANGE_S: f64 = 4.0;
 const MIN_CHANGE_M: f64 = 32.0;
 /// Spacing of the points of the ego's path, meters.
 const STEP_M: f64 = 0.25;
-/// Maximum angle between the recorded path and the ego's heading; beyond it (the log drives backward) the path is not
-/// followed.
+/// Maximum angle between the recorded path and the ego's heading; beyond it (the log drives backward) the
+/// path is not followed.
 const MAX_TURN_RAD: f64 = 1.0;
 /// Search window for the takeover on the recorded path, meters before and after.
 const NEAR_M: f64 = 5.0;
@@ -88,8 +88,8 @@ fn beside(smooth: &Smooth, ego: &EgoState, change_m: f64) -> Vec<(DVec2, f64)> {
     points
 }
 
-/// Returns an offset and its slope at a station. The quintic leads from a value and slope with zero curvature at 0 to
-/// a value with zero slope and curvature at `length_m`, and stays constant afterwards.
+/// Returns an offset and its slope at a station. The quintic leads from a value and slope with zero curvature
+/// at 0 to a value with zero slope and curvature at `length_m`, and stays constant afterwards.
 fn quintic(from: f64, slope: f64, to: f64, length_m: f64, station_m: f64) -> (f64, f64) {
     if station_m >= length_m {
         return (to, 0.0);

@@ -25,7 +25,8 @@ const HORIZON_US: i64 = 2_200_000;
 pub(super) enum Driver {
     Replay,
     Preset(Preset),
-    /// Course computed once at the takeover; `None` if the log ends before it or the ego's pose is not finite.
+    /// Course computed once at the takeover; `None` if the log ends before it or the ego's pose is not
+    /// finite.
     Course(Option<Course>),
     /// Path from a file, placed anew at each plan.
     Path(LocalPath),
@@ -63,7 +64,8 @@ impl Driver {
         })
     }
 
-    /// Returns the plan at a state, with its files and the states before it; `None` if the ego follows the log.
+    /// Returns the plan at a state, with its files and the states before it; `None` if the ego follows the
+    /// log.
     pub(super) fn plan(
         &mut self,
         recorded: &Recorded<'_>,

@@ -24,13 +24,14 @@ impl Profile {
         Self { start_mps: from_mps, start_mps2: acceleration_mps2, pieces: vec![(rise_s, 0.0)] }
     }
 
-    /// Creates the fastest profile from a speed and acceleration to a constant speed, within limits of acceleration
-    /// and jerk. Its segments are jerk, constant acceleration and opposite jerk. The speed never falls below 0; an
-    /// initial acceleration beyond its limit is clamped.
+    /// Creates the fastest profile from a speed and acceleration to a constant speed, within limits of
+    /// acceleration and jerk. Its segments are jerk, constant acceleration and opposite jerk. The speed never
+    /// falls below 0; an initial acceleration beyond its limit is clamped.
     pub(super) fn smooth(from: (f64, f64), to_mps: f64, limit_mps2: f64, jerk_mps3: f64) -> Self {
         let start_mps = from.0.max(0.0);
         let start_mps2 = from.1.clamp(-limit_mps2.min((2.0 * jerk_mps3 * start_mps).sqrt()), limit_mps2);
-        // The speed reached when the acceleration ramps directly to 0 determines the direction of the first jerk.
+        // The speed reached when the acceleration ramps directly to 0 determines the direction of the first
+        // jerk.
         let eased_mps = start_mps + start_mps2 * start_mps2.abs() / (2.0 * jerk_mps3);
         let sign = if to_mps < eased_mps { -1.0 } else { 1.0 };
         let (gain, first) = (sign * (to_mps - start_mps), sign * start_mps2);
@@ -95,7 +96,8 @@ mod tests {
             for i in 1..count {
                 let drive = profile.at(i as f64 * dt);
                 prop_assert!(drive.speed_mps >= -1e-9 && drive.acceleration_mps2.abs() <= limit + 1e-9);
-                // The derivatives are consistent, whatever the segments: the trapezoidal rule is exact to dt squared.
+                // The derivatives are consistent, whatever the segments: the trapezoidal rule is exact to dt
+                // squared.
                 let way = (before.speed_mps + drive.speed_mps) / 2.0 * dt;
                 prop_assert!((drive.way_m - before.way_m - way).abs() < 1e-8);
                 let rise = (before.acceleration_mps2 + drive.acceleration_mps2) / 2.0 * dt;

@@ -1,14 +1,14 @@
 use glam::DVec2;
 use point_skeleton::geometry::Polyline;
 
-/// Spacing of control points, meters: recorded poses have errors of a centimeter, which hardly affect a curve at this
-/// spacing.
+/// Spacing of control points, meters: recorded poses have errors of a centimeter, which hardly affect a curve
+/// at this spacing.
 const SPACING_M: f64 = 5.0;
 
 /// Smooth curve near a path: a uniform cubic B-spline with continuous curvature.
 ///
-/// Control points are computed from positions on the path by quasi-interpolation, so that the curve stays near the
-/// path in bends (order 4; de Boor and Fix 1973).
+/// Control points are computed from positions on the path by quasi-interpolation, so that the curve stays
+/// near the path in bends (order 4; de Boor and Fix 1973).
 pub(super) struct Smooth {
     controls: Vec<DVec2>,
 }

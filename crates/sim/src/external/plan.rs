@@ -40,7 +40,8 @@ struct PlannedPoint {
     v: f64,
 }
 
-/// Validates the reply to an observation; the plan must extend to `due_us`, the time of the next one (microseconds).
+/// Validates the reply to an observation; the plan must extend to `due_us`, the time of the next one
+/// (microseconds).
 pub(crate) fn read_plan(answer: &[u8], now: &Instant, due_us: i64) -> Result<Trajectory, ProtocolError> {
     let expected = "{\"trajectory\": [{\"t\", \"x\", \"y\", \"heading\", \"v\"}, ..]}";
     let plan: PlanAnswer =
@@ -107,8 +108,8 @@ fn placed(
             (start.position_m() + forward * x + forward.perp() * y, start.heading_rad + heading)
         }
     };
-    // Rounding can map a time just after the observation to the observation's own time, but never a required later
-    // one.
+    // Rounding can map a time just after the observation to the observation's own time, but never a required
+    // later one.
     let t_us = start.t_us.saturating_add((t * 1e6).round() as i64);
     let heading_rad = wrap_angle(heading_rad);
     Ok(Waypoint { t_us, x_m: place.x, y_m: place.y, heading_rad, speed_mps: v })

@@ -14,8 +14,8 @@ const YAW_RATE_RADPS: f64 = 0.95;
 /// Comfort metrics of a rollout, at the center of the rear axle.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct Comfort {
-    /// Whether all values are within nuPlan's bounds: longitudinal acceleration from -4.05 to 2.40 m/s², lateral
-    /// acceleration up to 4.89 m/s², jerk up to 8.37 m/s³, yaw rate up to 0.95 rad/s.
+    /// Whether all values are within nuPlan's bounds: longitudinal acceleration from -4.05 to 2.40 m/s²,
+    /// lateral acceleration up to 4.89 m/s², jerk up to 8.37 m/s³, yaw rate up to 0.95 rad/s.
     pub comfortable: bool,
     /// Acceleration along the heading, m/s²; `None` before the first instant.
     pub longitudinal_mps2: Option<Range>,

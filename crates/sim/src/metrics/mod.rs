@@ -42,13 +42,13 @@ pub struct Metrics {
     pub log_progress_m: f64,
     /// Distance of the ego from the recorded path, meters; `end` is positive to the left.
     pub lateral_deviation_m: Deviation,
-    /// Difference of the ego's heading from the recorded one at the nearest position, radians; `end` is positive to
-    /// the left.
+    /// Difference of the ego's heading from the recorded one at the nearest position, radians; `end` is
+    /// positive to the left.
     pub heading_deviation_rad: Deviation,
     /// Accelerations, yaw rate and jerk.
     pub comfort: Comfort,
-    /// Minimum time to contact between the ego and an actor not behind it, at constant velocities, seconds; `None` if
-    /// it was always over 3 s.
+    /// Minimum time to contact between the ego and an actor not behind it, at constant velocities, seconds;
+    /// `None` if it was always over 3 s.
     pub min_time_to_collision_s: Option<f64>,
 }
 

@@ -42,8 +42,8 @@ impl Road {
         (!road.drivable.areas.is_empty()).then_some(road)
     }
 
-    /// Returns the share of a box's footprint outside the drivable area, 0 to 1, sampled at the centers of 10 by 4
-    /// cells and at the corners. A corner outside counts for at least one cell.
+    /// Returns the share of a box's footprint outside the drivable area, 0 to 1, sampled at the centers of 10
+    /// by 4 cells and at the corners. A corner outside counts for at least one cell.
     pub(crate) fn share_off(&self, cuboid: &Cuboid) -> f64 {
         let footprint = Footprint::from(cuboid);
         let middle = |i: usize, j: usize| {
@@ -58,8 +58,8 @@ impl Road {
         cells_off.max(usize::from(corner_off)) as f64 / (CELLS[0] * CELLS[1]) as f64
     }
 
-    /// Returns whether all corners lie on the drivable area and in one lane or connector, or in one and one of its
-    /// successors.
+    /// Returns whether all corners lie on the drivable area and in one lane or connector, or in one and one
+    /// of its successors.
     pub(super) fn is_in_one_lane(&self, footprint: &Footprint) -> bool {
         let corners = footprint.corners();
         let common = corners.map(|corner| self.lanes.around(corner));
@@ -122,7 +122,8 @@ mod tests {
         Area { exterior: vec![corner(0, 0), corner(1, 0), corner(1, 1), corner(0, 1)], holes: Vec::new() }
     }
 
-    /// Returns a road of two lanes of 4 m: the left one split into two adjacent areas, the right one with a hole.
+    /// Returns a road of two lanes of 4 m: the left one split into two adjacent areas, the right one with a
+    /// hole.
     fn road() -> Road {
         let lane = |id: &str, outline: Area| Lane {
             id: id.into(),

@@ -4,12 +4,12 @@ use point_skeleton::geometry::Footprint;
 use super::collision::{STOPPED_MPS, is_behind};
 use crate::{Instant, SimActor};
 
-/// Maximum time to contact; later contacts are ignored, as velocities do not stay constant that long. nuPlan's
-/// horizon.
+/// Maximum time to contact; later contacts are ignored, as velocities do not stay constant that long.
+/// nuPlan's horizon.
 const HORIZON_S: f64 = 3.0;
 
-/// Returns the seconds until the ego first touches an actor not behind it, at constant velocities; 0 for a present
-/// contact. `None` without a contact within 3 s, or for a stopped ego.
+/// Returns the seconds until the ego first touches an actor not behind it, at constant velocities; 0 for a
+/// present contact. `None` without a contact within 3 s, or for a stopped ego.
 pub(super) fn seconds_to_contact(now: &Instant) -> Option<f64> {
     let ego = Footprint::from(&now.ego.cuboid());
     if now.ego.speed_mps.abs() <= STOPPED_MPS {

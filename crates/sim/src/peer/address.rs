@@ -22,8 +22,8 @@ pub enum PeerAddress {
 pub struct PeerSpec {
     /// Address of the process.
     pub address: PeerAddress,
-    /// Time-out for each answer and for the connection, seconds. Not saved: a rollout that failed due to a time-out
-    /// may be resumed with a longer one.
+    /// Time-out for each answer and for the connection, seconds. Not saved: a rollout that failed due to a
+    /// time-out may be resumed with a longer one.
     #[serde(skip)]
     pub timeout_s: f64,
 }

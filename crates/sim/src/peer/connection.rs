@@ -47,8 +47,8 @@ impl ConnectionHandle {
     }
 }
 
-/// Starts a command, or connects to a socket, which may take until the time-out to appear. An error comes with the
-/// verb of the failed operation.
+/// Starts a command, or connects to a socket, which may take until the time-out to appear. An error comes
+/// with the verb of the failed operation.
 pub(super) fn open(
     address: &PeerAddress,
     timeout: Duration,
@@ -91,8 +91,8 @@ fn connect(address: &str, timeout: Duration) -> std::io::Result<TcpStream> {
     Err(last)
 }
 
-/// Retries `attempt`, which gets the remaining time, until it succeeds or the time-out expires. All attempts run on
-/// another thread, because name resolution and servers with a full queue can block for longer.
+/// Retries `attempt`, which gets the remaining time, until it succeeds or the time-out expires. All attempts
+/// run on another thread, because name resolution and servers with a full queue can block for longer.
 fn reach<T: Send + 'static>(
     timeout: Duration,
     attempt: impl Fn(Duration) -> std::io::Result<T> + Send + 'static,

@@ -1,9 +1,9 @@
 //! Process group of a peer command, which ends with this process, however this process ends.
 //!
 //! # How it works
-//! A command that is started directly keeps running when this process is killed. So the group is led by a guard: a
-//! shell that waits for the end of its input, a pipe whose other end only this process holds. The system closes that
-//! end when this process ends. The guard then kills its group, including itself.
+//! A command that is started directly keeps running when this process is killed. So the group is led by a
+//! guard: a shell that waits for the end of its input, a pipe whose other end only this process holds. The
+//! system closes that end when this process ends. The guard then kills its group, including itself.
 
 use std::io::{Error, Result};
 use std::os::unix::process::CommandExt;
@@ -44,8 +44,8 @@ fn running() -> MutexGuard<'static, Running> {
     RUNNING.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Kills all peer commands with all processes that they started, and prevents further ones from starting. For the end
-/// of the process; peers reached over sockets are not affected.
+/// Kills all peer commands with all processes that they started, and prevents further ones from starting. For
+/// the end of the process; peers reached over sockets are not affected.
 pub fn end_all() {
     let mut running = running();
     running.is_over = true;
@@ -87,7 +87,8 @@ impl Group {
         }
     }
 
-    /// Ends the command and all processes in its group. Returns its exit status if it exited by itself in time.
+    /// Ends the command and all processes in its group. Returns its exit status if it exited by itself in
+    /// time.
     pub(super) fn end(&mut self) -> Option<ExitStatus> {
         let mut command = self.command.take()?;
         let ended = ends_within(GRACE, Pid::from_child(&command));

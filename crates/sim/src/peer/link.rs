@@ -20,8 +20,8 @@ pub struct Link {
 }
 
 impl Link {
-    /// Starts a command, or connects to a socket, which may take until the time-out to appear. `role` is the name of
-    /// the process in errors.
+    /// Starts a command, or connects to a socket, which may take until the time-out to appear. `role` is the
+    /// name of the process in errors.
     ///
     /// # Errors
     /// Fails if the command cannot be started or the socket cannot be reached in time.
@@ -48,8 +48,8 @@ impl Link {
         Ok(link)
     }
 
-    /// Sends a message and waits for the answer. After a failure, further calls fail: a late answer would be taken
-    /// for the answer to the next message.
+    /// Sends a message and waits for the answer. After a failure, further calls fail: a late answer would be
+    /// taken for the answer to the next message.
     ///
     /// # Errors
     /// Fails if the process ends, answers too late or violates the framing.
@@ -116,8 +116,8 @@ impl Link {
         ProtocolError::new(expected, found).of(self.name.clone())
     }
 
-    /// Ends the peer and returns the error. `part` is the received part of a message; it is empty or begins with a
-    /// space.
+    /// Ends the peer and returns the error. `part` is the received part of a message; it is empty or begins
+    /// with a space.
     fn gone(&mut self, part: String) -> PeerError {
         let status = self.end.end().map(|status| format!(" ({status})"));
         PeerError::Gone { after: part + &status.unwrap_or_default(), peer: self.name.clone() }

@@ -1,5 +1,5 @@
-//! Images of the generator at a step, as files in its folder: `generated/CAM.png`, `truth/CAM.png` if available,
-//! and `generated.json`, which records whether they are references.
+//! Images of the generator at a step, as files in its folder: `generated/CAM.png`, `truth/CAM.png` if
+//! available, and `generated.json`, which records whether they are references.
 
 use std::path::Path;
 

@@ -3,8 +3,8 @@
 //! # How it works
 //! All reports are created from the files in the folders of the steps and from the lines of `states.jsonl`. A
 //! rollout that was interrupted and resumed therefore gives the same bytes as an uninterrupted one. [`sight`]
-//! determines which actors are visible, [`view`] writes the images of a step, [`page`] writes the HTML page, and, with
-//! the feature `video`, `film` composes images into frames of the `video`.
+//! determines which actors are visible, [`view`] writes the images of a step, [`page`] writes the HTML page,
+//! and, with the feature `video`, `film` composes images into frames of the `video`.
 
 #[cfg(feature = "video")]
 pub mod film;

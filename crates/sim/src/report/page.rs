@@ -1,8 +1,9 @@
 //! `index.html`: the web page that plays a rollout.
 //!
 //! # How it works
-//! `page.html` is the template; the data are inserted as JSON. The page loads nothing from other sites. It refers
-//! to the images in the folders of the steps beside it, so it works from a folder as well as from a server.
+//! `page.html` is the template; the data are inserted as JSON. The page loads nothing from other sites. It
+//! refers to the images in the folders of the steps beside it, so it works from a folder as well as from a
+//! server.
 
 use std::path::Path;
 
@@ -109,8 +110,9 @@ impl Page {
     }
 }
 
-/// Flattens JSON into the rows of a table. Names of nested values are joined, and a unit at the end of a name moves
-/// to the value. Min and max share a row, and so do mean, max and end. Numbers are rounded to three decimals.
+/// Flattens JSON into the rows of a table. Names of nested values are joined, and a unit at the end of a name
+/// moves to the value. Min and max share a row, and so do mean, max and end. Numbers are rounded to three
+/// decimals.
 pub fn table(value: &Value) -> Vec<[String; 2]> {
     let mut rows = Vec::new();
     add_rows("", "", value, &mut rows);

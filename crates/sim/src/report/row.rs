@@ -92,8 +92,8 @@ pub struct ActorRow {
     pub yaw_rate_radps: f64,
     /// Cameras whose maps show the actor; null without instance maps.
     pub seen: Option<Vec<VisibleActor>>,
-    /// Cameras that show at least [`SEEN_PX`] pixels of the actor, and whose own logged images around that time did
-    /// not show it; null without instance maps.
+    /// Cameras that show at least [`SEEN_PX`] pixels of the actor, and whose own logged images around that
+    /// time did not show it; null without instance maps.
     pub new_in_view: Option<Vec<usize>>,
 }
 

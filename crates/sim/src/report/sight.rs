@@ -1,10 +1,10 @@
 //! Visible actors of a step, and which of them the logged images did not show.
 //!
 //! # How it works
-//! The instance maps show which actors are visible. Visibility in the log is determined by boxes: a logged image
-//! shows a track if the rectangle around its logged box, projected into the image, intersects the image. Occlusion
-//! does not count, so an actor that was merely occluded is not reported as new. If a frame's image is missing, as
-//! in a partly unpacked log, the camera at the frame's ego pose replaces it.
+//! The instance maps show which actors are visible. Visibility in the log is determined by boxes: a logged
+//! image shows a track if the rectangle around its logged box, projected into the image, intersects the
+//! image. Occlusion does not count, so an actor that was merely occluded is not reported as new. If a frame's
+//! image is missing, as in a partly unpacked log, the camera at the frame's ego pose replaces it.
 
 use glam::{DVec2, DVec3};
 use point_skeleton::conditions::ConditionSet;
@@ -30,7 +30,8 @@ pub struct VisibleActor {
     pub bounds: [u32; 4],
 }
 
-/// Returns, per actor of a step, the cameras whose instance maps show it; `None` if a camera has no instance map.
+/// Returns, per actor of a step, the cameras whose instance maps show it; `None` if a camera has no instance
+/// map.
 pub fn seen(set: &ConditionSet, actors: usize) -> Option<Vec<Vec<VisibleActor>>> {
     let mut all = vec![Vec::new(); actors];
     for (camera, maps) in set.cameras.iter().enumerate() {
@@ -128,7 +129,8 @@ mod tests {
         assert_eq!(seen(&set, 2), None);
     }
 
-    /// Log of a 90-degree camera at the origin that looks along x, at 0, 1 and 2 s; a 1 m box is at `at` per frame.
+    /// Log of a 90-degree camera at the origin that looks along x, at 0, 1 and 2 s; a 1 m box is at `at` per
+    /// frame.
     fn log(at: [DVec3; 3]) -> Recording {
         let axes = DMat3::from_cols(DVec3::NEG_Y, DVec3::NEG_Z, DVec3::X);
         let ego_from_camera = Pose { rotation: DQuat::from_mat3(&axes), translation: DVec3::ZERO };

@@ -2,8 +2,8 @@
 //!
 //! # How it works
 //! OpenH264 encodes on one thread with a constant quantizer, so the same images give the same bytes. Its byte
-//! stream (NAL units after start codes, ITU-T H.264 Annex B) is converted to the MP4 form: lengths instead of start
-//! codes, and the parameter sets apart from the samples (ISO/IEC 14496-15).
+//! stream (NAL units after start codes, ITU-T H.264 Annex B) is converted to the MP4 form: lengths instead of
+//! start codes, and the parameter sets apart from the samples (ISO/IEC 14496-15).
 
 use std::io::Cursor;
 use std::path::{Path, PathBuf};
@@ -78,7 +78,8 @@ impl Video {
     /// Starts a video of frames of one size, `rate_hz` per second, that will be written to `path`.
     ///
     /// # Errors
-    /// Returns an error if a side is odd, below 16 or above [`MAX_SIDE_PX`], or if the encoder cannot be created.
+    /// Returns an error if a side is odd, below 16 or above [`MAX_SIDE_PX`], or if the encoder cannot be
+    /// created.
     pub fn new(path: &Path, size: ImageSize, rate_hz: f64) -> Result<Self, VideoError> {
         Self::check(path, size)?;
         let config = EncoderConfig::new()
@@ -124,7 +125,8 @@ impl Video {
             (0..layer.nal_count()).filter_map(|i| layer.nal_unit(i).map(<[u8]>::to_vec)).collect::<Vec<_>>()
         }) {
             let unit = without_start_code(&unit);
-            // The lower five bits of the first byte are the type: 7 and 8 are parameter sets, 5 is a key frame.
+            // The lower five bits of the first byte are the type: 7 and 8 are parameter sets, 5 is a key
+            // frame.
             match unit.first().map(|header| header & 31) {
                 Some(7) => self.sps = unit.to_vec(),
                 Some(8) => self.pps = unit.to_vec(),

@@ -47,7 +47,8 @@ pub fn is_finished(folder: &Path) -> Result<bool, FileError> {
     Ok(ending.failure.is_none())
 }
 
-/// Checks that a rollout in a folder, which is finished, was made from the same log, skeleton, HD map and annotations.
+/// Checks that a rollout in a folder, which is finished, was made from the same log, skeleton, HD map and
+/// annotations.
 ///
 /// # Errors
 /// Fails if it was made from others, or if its options cannot be read.

@@ -78,7 +78,8 @@ impl<'a> Generation<'a> {
         Ok(Self { generator, latest })
     }
 
-    /// Generates the images of the latest committed state if a planning step is due, and returns the latest images.
+    /// Generates the images of the latest committed state if a planning step is due, and returns the latest
+    /// images.
     pub(super) fn step(
         &mut self,
         simulation: &Simulation<'_>,

@@ -20,15 +20,15 @@ pub trait ImageGenerator {
     /// Durations of the last generated images.
     fn times(&self) -> GenerationTimes;
 
-    /// Returns the state to save with the step, for [`ImageGenerator::resume`]; `None` before the first generated
-    /// frame.
+    /// Returns the state to save with the step, for [`ImageGenerator::resume`]; `None` before the first
+    /// generated frame.
     ///
     /// # Errors
     /// Returns an error if the state cannot be encoded.
     fn save(&self) -> Result<Option<Vec<u8>>, AnyError>;
 
-    /// Continues after `frames` planning steps. `last` are the last of these steps: as many as the window has frames,
-    /// or all if there are fewer. `saved` is the state saved with the last step.
+    /// Continues after `frames` planning steps. `last` are the last of these steps: as many as the window has
+    /// frames, or all if there are fewer. `saved` is the state saved with the last step.
     ///
     /// # Errors
     /// Returns an error if the saved state is missing, damaged or of another step, and those of

@@ -1,11 +1,11 @@
 //! Rollouts: a closed-loop simulation whose steps are rendered and written to a folder.
 //!
 //! # How it works
-//! [`Rollout::open`] reads the steps of an earlier run, if the rollout is resumed, and starts the [`Simulation`].
-//! [`Rollout::run`] simulates and renders step by step (`steps`), calls an [`ImageGenerator`] at planning steps
-//! (`generation`), and writes each step on another thread (`output`). At the end it writes the summary files from the
-//! folders of all steps (`finish`, `mcap`), so that a resumed rollout gives the same bytes as an uninterrupted one. `sources`
-//! identifies the inputs and `profile` records durations.
+//! [`Rollout::open`] reads the steps of an earlier run, if the rollout is resumed, and starts the
+//! [`Simulation`]. [`Rollout::run`] simulates and renders step by step (`steps`), calls an [`ImageGenerator`]
+//! at planning steps (`generation`), and writes each step on another thread (`output`). At the end it writes
+//! the summary files from the folders of all steps (`finish`, `mcap`), so that a resumed rollout gives the
+//! same bytes as an uninterrupted one. `sources` identifies the inputs and `profile` records durations.
 
 mod earlier;
 mod error;
@@ -84,8 +84,8 @@ impl<'a> Rollout<'a> {
     /// earlier rollout are replaced by [`Rollout::run`], not before.
     ///
     /// # Errors
-    /// Fails if the options do not fit the log, if `out` is neither empty nor a rollout or lies within an input, if the
-    /// earlier rollout is damaged or of other inputs, or if a planner does not answer.
+    /// Fails if the options do not fit the log, if `out` is neither empty nor a rollout or lies within an
+    /// input, if the earlier rollout is damaged or of other inputs, or if a planner does not answer.
     pub fn open(
         inputs: RolloutInputs<'a>,
         options: RolloutOptions,
@@ -154,10 +154,12 @@ impl<'a> Rollout<'a> {
         self.record.simulation.steps.saturating_add(1).saturating_sub(self.rows.len())
     }
 
-    /// Simulates, renders and writes all steps, then the summary files. `on_step` is called with the name of each step
-    /// after it was rendered. `renderer` is of the rollout's skeleton; its own map options are not used.
+    /// Simulates, renders and writes all steps, then the summary files. `on_step` is called with the name of
+    /// each step after it was rendered. `renderer` is of the rollout's skeleton; its own map options are not
+    /// used.
     ///
-    /// If a step fails, the summary files describe the steps before it, and [`RolloutReport::failure`] has its error.
+    /// If a step fails, the summary files describe the steps before it, and [`RolloutReport::failure`] has
+    /// its error.
     ///
     /// # Errors
     /// Fails if the first step fails, if a step cannot be written, or if the generator cannot be resumed.

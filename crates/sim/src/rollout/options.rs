@@ -26,11 +26,13 @@ pub struct RolloutOptions {
     pub forecast_steps: usize,
     /// Also writes a contact sheet per step.
     pub sheets: bool,
-    /// Further entries of `rollout.json`, which must be equal to resume, such as the options of the generator.
+    /// Further entries of `rollout.json`, which must be equal to resume, such as the options of the
+    /// generator.
     pub extra: Map<String, Value>,
     /// Further lines for the web page.
     pub facts: Vec<String>,
-    /// MCAP file to write at the end, outside of the output folder; without an output folder it has no images.
+    /// MCAP file to write at the end, outside of the output folder; without an output folder it has no
+    /// images.
     #[cfg(feature = "mcap")]
     pub mcap: Option<OutputFile>,
 }

@@ -53,7 +53,8 @@ struct Loop<'l, 'a, 'r, 'g> {
 
 /// A committed step whose maps are in flight. The simulation may be one step ahead.
 struct Begun {
-    /// Whether the step is new, rather than one of an earlier run whose maps are needed for the layout of the page.
+    /// Whether the step is new, rather than one of an earlier run whose maps are needed for the layout of the
+    /// page.
     is_new: bool,
     state: SceneState,
     instant: Instant,
@@ -72,8 +73,8 @@ struct Writer {
 }
 
 impl Steps<'_> {
-    /// Simulates and renders step by step, while another thread writes. `kept` has the steps of an earlier run, the
-    /// last of which is the current state of the simulation. Without `states` nothing is written.
+    /// Simulates and renders step by step, while another thread writes. `kept` has the steps of an earlier
+    /// run, the last of which is the current state of the simulation. Without `states` nothing is written.
     ///
     /// Fails if a step cannot be written; other failures are in [`RolloutReport::failure`].
     pub(super) fn run(
@@ -131,8 +132,8 @@ impl Steps<'_> {
 }
 
 impl Loop<'_, '_, '_, '_> {
-    /// Simulates and renders all steps. If the images of a step are needed for the next one, each is finished before the
-    /// next begins; otherwise the next step is simulated and begun meanwhile.
+    /// Simulates and renders all steps. If the images of a step are needed for the next one, each is finished
+    /// before the next begins; otherwise the next step is simulated and begun meanwhile.
     fn run(mut self, on_step: &mut dyn FnMut(&str)) -> Result<RolloutReport, RolloutError> {
         let steps = self.steps;
         let alone =
@@ -161,7 +162,8 @@ impl Loop<'_, '_, '_, '_> {
         Ok(self.run)
     }
 
-    /// Begins the next step; `None` once the rollout is over. After an error, the steps in flight can be finished.
+    /// Begins the next step; `None` once the rollout is over. After an error, the steps in flight can be
+    /// finished.
     fn begin(&mut self) -> Result<Option<Begun>, RolloutError> {
         if self.failure.is_some() {
             return Ok(None);
@@ -208,8 +210,8 @@ impl Loop<'_, '_, '_, '_> {
         Ok((set, lap(&mut clock)))
     }
 
-    /// Completes a step with its maps and passes it to the writer thread; `false` if the thread has stopped, whose result
-    /// has the error.
+    /// Completes a step with its maps and passes it to the writer thread; `false` if the thread has stopped,
+    /// whose result has the error.
     fn complete(
         &mut self,
         begun: Begun,

@@ -1,5 +1,5 @@
-//! Street furniture. x runs along the kerb, y away from the road, z up from the sidewalk; drivers on the near lanes
-//! come from +x.
+//! Street furniture. x runs along the kerb, y away from the road, z up from the sidewalk; drivers on the near
+//! lanes come from +x.
 
 use glam::{DVec2, DVec3};
 
@@ -41,8 +41,8 @@ pub(super) fn lamp(kind: usize, metal: Skin) -> Mesh {
     mesh
 }
 
-/// Returns traffic lights on a pole, and on an arm over the road if `arm_m` is given. Lamps are unlit, because their
-/// state changes over time.
+/// Returns traffic lights on a pole, and on an arm over the road if `arm_m` is given. Lamps are unlit,
+/// because their state changes over time.
 pub(super) fn signal(arm_m: Option<f64>, metal: Skin) -> Mesh {
     let mut mesh = Mesh::default();
     pole(&mut mesh, if arm_m.is_some() { 5.9 } else { 3.4 }, 0.09, metal);

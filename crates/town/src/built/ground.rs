@@ -53,7 +53,8 @@ fn triangles(of: &RawTriangulation<[f64; 2]>, mut each: impl FnMut([DVec2; 3])) 
     }
 }
 
-/// Adds a convex polygon on the ground, counter-clockwise seen from above; its pattern is continuous across the town.
+/// Adds a convex polygon on the ground, counter-clockwise seen from above; its pattern is continuous across
+/// the town.
 pub(super) fn flat(mesh: &mut Mesh, corners: &[DVec2], z: f64, skin: Skin) {
     let corners: Vec<(DVec3, DVec3, DVec2)> = corners.iter().map(|p| (p.extend(z), DVec3::Z, *p)).collect();
     mesh.fan(&corners, skin);

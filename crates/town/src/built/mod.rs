@@ -1,10 +1,11 @@
 //! Static town: roads with markings, sidewalks, houses, trees, lamps and signs.
 //!
 //! # How it works
-//! `ways` converts the plan's roads and junctions to strips; `ground` and `paint` cover them and the areas between.
-//! `lots` walks along both sides of every road and places houses where there is `room`; `house` builds each in the
-//! town's `style`. `kerbside` places `furniture` and trees along the kerbs, `yards` adds trees behind the houses and
-//! hills around the town. Objects are built in their own frames; `cells` transforms and groups them by position.
+//! `ways` converts the plan's roads and junctions to strips; `ground` and `paint` cover them and the areas
+//! between. `lots` walks along both sides of every road and places houses where there is `room`; `house`
+//! builds each in the town's `style`. `kerbside` places `furniture` and trees along the kerbs, `yards` adds
+//! trees behind the houses and hills around the town. Objects are built in their own frames; `cells`
+//! transforms and groups them by position.
 
 mod cells;
 mod draw;
@@ -32,8 +33,8 @@ use cells::Cells;
 use style::Style;
 use ways::Ways;
 
-/// Returns the static town as meshes of neighbouring objects, town frame. Each is at most about 60 m wide, which
-/// allows culling.
+/// Returns the static town as meshes of neighbouring objects, town frame. Each is at most about 60 m wide,
+/// which allows culling.
 pub fn standing(plan: &Plan, seed: u64) -> Vec<Mesh> {
     let style = Style::new(seed);
     let ways = Ways::new(&plan.network);

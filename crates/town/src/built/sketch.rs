@@ -117,7 +117,8 @@ pub(super) fn disc(mesh: &mut Mesh, centre: DVec3, out: DVec3, radius: f64, side
     mesh.polygon(&(0..sides).map(corner).collect::<Vec<_>>(), skin);
 }
 
-/// Adds an upright block over four corners on the ground, counter-clockwise seen from above, without its underside.
+/// Adds an upright block over four corners on the ground, counter-clockwise seen from above, without its
+/// underside.
 pub(super) fn column(mesh: &mut Mesh, corners: [DVec2; 4], z: [f64; 2], skin: Skin) {
     for i in 0..4 {
         let wall = Wall::new(corners[i].extend(0.0), corners[(i + 1) % 4].extend(0.0));

@@ -20,15 +20,15 @@ fn plan(seed: u64) -> Plan {
     Plan { network: Network::new(seed), traffic }
 }
 
-/// Returns the distance from a segment, and the position of the nearest point on its line: 0 at its start, 1 at its
-/// end.
+/// Returns the distance from a segment, and the position of the nearest point on its line: 0 at its start, 1
+/// at its end.
 fn off(place: DVec2, a: DVec2, b: DVec2) -> (f64, f64) {
     let share = (place - a).dot(b - a) / (b - a).length_squared();
     (place.distance(a.lerp(b, share.clamp(0.0, 1.0))), share)
 }
 
-/// Returns the distance of a position beyond the kerb of the nearest road beside it, negative on the road, and the
-/// width of the sidewalk there.
+/// Returns the distance of a position beyond the kerb of the nearest road beside it, negative on the road,
+/// and the width of the sidewalk there.
 fn beyond_kerb(network: &Network, place: DVec2) -> Option<[f64; 2]> {
     let beside = network.roads.iter().flat_map(|road| {
         let last = road.centerline.len() - 2;

@@ -61,8 +61,8 @@ impl<'a> Ways<'a> {
         Self { network, lines, kerbs }
     }
 
-    /// Returns the area of all streets as convex counter-clockwise polygons; sidewalks are narrowed by `less_m` at
-    /// the back.
+    /// Returns the area of all streets as convex counter-clockwise polygons; sidewalks are narrowed by
+    /// `less_m` at the back.
     pub(super) fn areas(&self, less_m: f64) -> Vec<Vec<DVec2>> {
         let mut areas = Vec::new();
         for (road, line) in self.network.roads.iter().zip(&self.lines) {
@@ -128,7 +128,8 @@ fn junction_kerbs(network: &Network, junction: &Junction) -> Vec<Kerb> {
     kerbs
 }
 
-/// Returns a kerb, optionally with given edges across the sidewalk at its ends; the width is interpolated linearly.
+/// Returns a kerb, optionally with given edges across the sidewalk at its ends; the width is interpolated
+/// linearly.
 fn kerb(points: Vec<DVec2>, ends: [Option<DVec2>; 2], widths_m: [f64; 2]) -> Kerb {
     let out = |i: usize| -(points[i + 1] - points[i]).normalize_or_zero().perp();
     let last = points.len() - 1;

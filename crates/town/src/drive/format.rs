@@ -4,8 +4,8 @@ use point_skeleton::error::FileError;
 use super::Town;
 use crate::TownOptions;
 
-/// Format of locators `town:OPTIONS`, whose path has the [`TownOptions`]. [`register`](point_skeleton::dataset::register)
-/// makes [`Log::open`](point_skeleton::Log::open) know it.
+/// Format of locators `town:OPTIONS`, whose path has the [`TownOptions`].
+/// [`register`](point_skeleton::dataset::register) makes [`Log::open`](point_skeleton::Log::open) know it.
 pub static FORMAT: LogFormat = LogFormat {
     name: "town",
     has_path: false,
@@ -21,8 +21,8 @@ impl Town {
     /// Creates the town that a locator names.
     ///
     /// # Errors
-    /// Fails if the locator has another format, names a folder of sensors or maps, or has invalid options, or if the town
-    /// cannot be created.
+    /// Fails if the locator has another format, names a folder of sensors or maps, or has invalid options, or
+    /// if the town cannot be created.
     pub fn open(locator: &LogLocator) -> Result<Self, DatasetError> {
         Ok(Self::new(&options(locator)?)?)
     }

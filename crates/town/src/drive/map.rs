@@ -79,8 +79,8 @@ fn lane_lines(road: &Road) -> impl Iterator<Item = Vec<DVec2>> + '_ {
     offsets.map(|offset_m| parallel(&road.centerline, offset_m))
 }
 
-/// Returns a strip on the left and one on the right of a road, between two distances from its middle; skips strips
-/// without width.
+/// Returns a strip on the left and one on the right of a road, between two distances from its middle; skips
+/// strips without width.
 fn beside(road: &Road, ends_m: impl Fn(&Road, usize) -> [f64; 2]) -> Vec<Area> {
     let strip = |(side, sign): (usize, f64)| {
         let [from_m, to_m] = ends_m(road, side).map(|m| sign * m);
@@ -100,7 +100,8 @@ fn stop_area([a, b]: [DVec2; 2], lane: Option<&TownLane>) -> Area {
     plain(vec![a, b, b + back, a + back])
 }
 
-/// Returns the area along a line from `right_m` to `left_m` (meters, positive to the left), counter-clockwise.
+/// Returns the area along a line from `right_m` to `left_m` (meters, positive to the left),
+/// counter-clockwise.
 fn strip(line: &[DVec2], right_m: f64, left_m: f64) -> Area {
     let mut ring = parallel(line, right_m);
     ring.extend(parallel(line, left_m).into_iter().rev());

@@ -1,10 +1,10 @@
 //! The town as a recorded log: a [`LogReader`] whose sweeps and images are generated when they are read.
 //!
 //! # How it works
-//! `record` converts the plan to a log: poses of all actors at the times of frames, sweeps and images. The LiDAR
-//! simulation generates sweeps (`town`), the triangle renderer images (`truth`), both from the same `meshes` and only
-//! on request. One pose transforms the town's frame to the global frame so that the whole map has positive
-//! coordinates, on z = 0, as in nuScenes.
+//! `record` converts the plan to a log: poses of all actors at the times of frames, sweeps and images. The
+//! LiDAR simulation generates sweeps (`town`), the triangle renderer images (`truth`), both from the same
+//! `meshes` and only on request. One pose transforms the town's frame to the global frame so that the whole
+//! map has positive coordinates, on z = 0, as in nuScenes.
 
 mod error;
 mod format;

@@ -13,11 +13,11 @@ use crate::plan::{Actor, Traffic};
 
 /// Time of frame 0, microseconds.
 pub(super) const START_US: i64 = 1_600_000_000_000_000;
-/// Time of traffic before frame 0, seconds: the longest LiDAR rotation, so that everything in the frame is recorded
-/// in motion.
+/// Time of traffic before frame 0, seconds: the longest LiDAR rotation, so that everything in the frame is
+/// recorded in motion.
 pub(super) const LEAD_S: f64 = 0.1;
-/// Maximum distance of actors with a box from the ego, meters: the LiDAR's range, plus half the length of a bus and
-/// its travel in a frame.
+/// Maximum distance of actors with a box from the ego, meters: the LiDAR's range, plus half the length of a
+/// bus and its travel in a frame.
 const BOX_RANGE_M: f64 = RANGE_M[1] + 15.0;
 
 /// Returns the seconds since traffic began to move.

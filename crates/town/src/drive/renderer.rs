@@ -43,8 +43,8 @@ impl TownRenderer {
         Ok(Self { filmer: MeshRenderer::new(&device, &all)?, light, standing, bodies })
     }
 
-    /// Renders views whose world is the town's frame. Only the figures are visible, with their limbs at a time in
-    /// seconds.
+    /// Renders views whose world is the town's frame. Only the figures are visible, with their limbs at a
+    /// time in seconds.
     pub(super) fn film(
         &mut self,
         t_s: f64,

@@ -68,8 +68,8 @@ impl Town {
         &self.plan
     }
 
-    /// Returns the log's name and the recording options that differ from the defaults: skeletons of two recordings
-    /// differ.
+    /// Returns the log's name and the recording options that differ from the defaults: skeletons of two
+    /// recordings differ.
     pub fn recording_name(&self) -> String {
         let TownOptions { lidar_hz, beams, size: [height, width], .. } = self.options;
         let usual = TownOptions::default();
@@ -120,8 +120,8 @@ impl Town {
     }
 }
 
-/// Returns `global_from_town`: rotated by an angle of the seed, with all streets at positive coordinates away from
-/// the edges.
+/// Returns `global_from_town`: rotated by an angle of the seed, with all streets at positive coordinates away
+/// from the edges.
 fn place(plan: &Plan, seed: u64) -> Pose {
     let yaw = hash::between(seed, &[0x706c], 0.0, std::f64::consts::TAU);
     let turned = Pose::from_yaw(yaw, DVec3::ZERO);
@@ -134,8 +134,8 @@ fn place(plan: &Plan, seed: u64) -> Pose {
     Pose { translation: (DVec2::splat(EDGE_M) - min).extend(0.0), ..turned }
 }
 
-/// Returns the log's name, which identifies the drive: skeletons of different drives differ even with the same seed.
-/// Recording options (images, LiDAR) do not change the drive.
+/// Returns the log's name, which identifies the drive: skeletons of different drives differ even with the
+/// same seed. Recording options (images, LiDAR) do not change the drive.
 fn name(options: &TownOptions) -> String {
     let TownOptions { seed, frames, hz, .. } = options;
     let rate = if *hz == TownOptions::default().hz { String::new() } else { format!("-{hz}hz") };

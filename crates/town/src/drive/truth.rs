@@ -16,9 +16,10 @@ use crate::plan::Actor;
 use crate::view::{GroundTruthView, MeshRenderError};
 
 impl Town {
-    /// Renders views at a time: images and ground-truth maps. The views' world is the global frame. Instance numbers
-    /// are index + 1 of the log's boxes at that time, as in [`Recording::boxes_at`](point_skeleton::dataset::Recording::boxes_at). Actors
-    /// without a box (beyond the LiDAR's range) are visible, with class and instance 0.
+    /// Renders views at a time: images and ground-truth maps. The views' world is the global frame. Instance
+    /// numbers are index + 1 of the log's boxes at that time, as in
+    /// [`Recording::boxes_at`](point_skeleton::dataset::Recording::boxes_at). Actors without a box (beyond
+    /// the LiDAR's range) are visible, with class and instance 0.
     ///
     /// # Errors
     /// Returns an error if the device fails.
@@ -27,8 +28,8 @@ impl Town {
         self.film(t_us, &self.figures(t_us, &tracks), views)
     }
 
-    /// Renders the cameras of a frame, each at its own time and pose, in their order. Instance numbers are those of
-    /// the frame's boxes. Empty if there is no such frame.
+    /// Renders the cameras of a frame, each at its own time and pose, in their order. Instance numbers are
+    /// those of the frame's boxes. Empty if there is no such frame.
     ///
     /// # Errors
     /// Returns an error if the device fails.
@@ -42,8 +43,8 @@ impl Town {
         Ok(seen)
     }
 
-    /// Renders views of a state that differs from the log: only the given actors are visible. Their instance is their
-    /// index + 1. The time selects the pose of their limbs.
+    /// Renders views of a state that differs from the log: only the given actors are visible. Their instance
+    /// is their index + 1. The time selects the pose of their limbs.
     ///
     /// # Errors
     /// Returns an error if the town does not have a track or if the device fails.

@@ -35,8 +35,8 @@ pub enum WriteError {
 }
 
 impl Town {
-    /// Writes the log as a data set in nuScenes layout into an existing folder, and the options to `town.json`. Calls
-    /// `frame_done` with the index of each written frame.
+    /// Writes the log as a data set in nuScenes layout into an existing folder, and the options to
+    /// `town.json`. Calls `frame_done` with the index of each written frame.
     ///
     /// # Errors
     /// Fails if memory is insufficient, or if an image cannot be rendered or a file cannot be written.
@@ -49,8 +49,8 @@ impl Town {
     }
 
     /// Writes the ground truth of every image into an existing folder: `truth/FRAME/CAM/depth.exr` (meters),
-    /// `class.png` and `instance.png`, with the numbers of that frame's maps. Calls `frame_done` with the index of
-    /// each written frame.
+    /// `class.png` and `instance.png`, with the numbers of that frame's maps. Calls `frame_done` with the
+    /// index of each written frame.
     ///
     /// # Errors
     /// Fails if an image cannot be rendered or a file cannot be written.

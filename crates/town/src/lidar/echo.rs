@@ -21,8 +21,8 @@ pub(super) enum Noise {
     Seeded(u64),
 }
 
-/// Returns the range in meters and the intensity, 0 to 255, of a beam; `None` if it is lost. `facing` is the cosine
-/// of the angle between beam and normal, `beam` is the beam's index, unique within a sweep.
+/// Returns the range in meters and the intensity, 0 to 255, of a beam; `None` if it is lost. `facing` is the
+/// cosine of the angle between beam and normal, `beam` is the beam's index, unique within a sweep.
 pub(super) fn echo(hit: &Hit, facing: f64, noise: Noise, beam: i64) -> Option<(f64, f32)> {
     let facing = facing.abs();
     let intensity = (255.0 * reflectance(hit) * facing.sqrt()).clamp(0.0, 255.0).round() as f32;
@@ -50,8 +50,8 @@ fn brightness(hit: &Hit) -> f64 {
     0.3 * r + 0.6 * g + 0.1 * b
 }
 
-/// Returns the share of beams lost on this surface: glass transmits or mirrors them, dark paint mirrors them at
-/// grazing angles.
+/// Returns the share of beams lost on this surface: glass transmits or mirrors them, dark paint mirrors them
+/// at grazing angles.
 fn vanishing(hit: &Hit, facing: f64) -> f64 {
     let is = |surface: Surface| hit.surface == surface as u8;
     if is(Surface::Window) || is(Surface::CarGlass) {

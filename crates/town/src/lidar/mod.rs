@@ -1,11 +1,11 @@
 //! LiDAR simulation: casts the beams of a rotation against triangles, while ego and actors move.
 //!
 //! # How it works
-//! All beams of a column fire at once. Columns follow one another clockwise from behind, the last one at the sweep's
-//! time stamp. Each column uses the poses of LiDAR and actors at its own time. Points are in the LiDAR's frame at the
-//! stamp: the ego's motion is compensated, as in data sets, the actors' motion is not. The static town is one tree of
-//! triangles (`solid`); bodies have their own trees, and a column tests only those in its reach. `echo` computes the
-//! return of a beam.
+//! All beams of a column fire at once. Columns follow one another clockwise from behind, the last one at the
+//! sweep's time stamp. Each column uses the poses of LiDAR and actors at its own time. Points are in the
+//! LiDAR's frame at the stamp: the ego's motion is compensated, as in data sets, the actors' motion is not.
+//! The static town is one tree of triangles (`solid`); bodies have their own trees, and a column tests only
+//! those in its reach. `echo` computes the return of a beam.
 
 mod echo;
 mod solid;
@@ -65,7 +65,8 @@ pub(super) struct Turn<'a, F> {
 }
 
 impl Lidar {
-    /// Creates a LiDAR with 32 (as Velodyne's HDL-32E) or 64 beams (as its HDL-64E) and a rotation rate in Hz.
+    /// Creates a LiDAR with 32 (as Velodyne's HDL-32E) or 64 beams (as its HDL-64E) and a rotation rate in
+    /// Hz.
     pub(super) fn new(beams: u16, turns_hz: f64) -> Self {
         let elevation_deg: [f64; 2] = if beams == 32 { [-30.67, 10.67] } else { [-24.9, 2.0] };
         // A column every third or fifth of a degree.
@@ -73,8 +74,8 @@ impl Lidar {
         Self { beams, turn_s: 1.0 / turns_hz, columns, elevation_rad: elevation_deg.map(f64::to_radians) }
     }
 
-    /// Returns the azimuth of a column to the left of forward (radians), and its time before the end of the rotation
-    /// (seconds).
+    /// Returns the azimuth of a column to the left of forward (radians), and its time before the end of the
+    /// rotation (seconds).
     fn column(&self, index: usize) -> (f64, f64) {
         let share = (index + 1) as f64 / self.columns as f64;
         (PI - TAU * share, self.turn_s * (1.0 - share))

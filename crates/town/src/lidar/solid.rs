@@ -60,8 +60,8 @@ impl Solid {
         Self { tree, ball: ball(&triangles), triangles, skins }
     }
 
-    /// Returns the nearest hit before `t_max`. The tree is searched in `f32`; the intersection with the triangle's
-    /// plane is computed in `f64`.
+    /// Returns the nearest hit before `t_max`. The tree is searched in `f32`; the intersection with the
+    /// triangle's plane is computed in `f64`.
     pub(super) fn meet(&self, origin: DVec3, direction: DVec3, t_max: f64) -> Option<Hit> {
         let tree = self.tree.as_ref()?;
         let ray = Ray::new(origin.as_vec3a(), direction.as_vec3a(), 0.0, t_max as f32);

@@ -137,8 +137,8 @@ fn actors_move_while_the_lidar_turns() {
         let off = (local - DVec3::Z * size.z / 2.0).abs() - size / 2.0;
         assert!(off.max_element().abs() < 1e-5, "{local}");
     }
-    // It drives along y in front of the LiDAR at 20 m/s: the face at x = 9 stays, and the column at azimuth a is
-    // fired when the rotation is at (PI - a) / TAU.
+    // It drives along y in front of the LiDAR at 20 m/s: the face at x = 9 stays, and the column at azimuth a
+    // is fired when the rotation is at (PI - a) / TAU.
     let drives = |t: f64| Pose::from_yaw(0.0, DVec3::new(10.0 + 1.0, -1.0 + 20.0 * t, 0.0));
     let steps = 0..=20;
     let motion = Motion {

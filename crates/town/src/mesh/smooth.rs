@@ -6,8 +6,8 @@ use rustc_hash::FxHashMap;
 use super::{Mesh, Vertex};
 
 impl Mesh {
-    /// Sets each corner's normal to the area-weighted mean of the adjacent faces whose normals differ from its own
-    /// face's by at most `crease_rad`, and merges identical vertices.
+    /// Sets each corner's normal to the area-weighted mean of the adjacent faces whose normals differ from
+    /// its own face's by at most `crease_rad`, and merges identical vertices.
     pub fn smooth(&mut self, crease_rad: f64) {
         let least_cos = crease_rad.cos();
         let areas: Vec<DVec3> = self.triangles.iter().map(|t| self.area(*t)).collect();

@@ -48,8 +48,8 @@ impl Ring {
 }
 
 impl Mesh {
-    /// Adds a quad that need not be planar, counter-clockwise seen from outside, split along its shorter diagonal.
-    /// `uv` are the coordinates of its corners. Degenerate triangles are skipped.
+    /// Adds a quad that need not be planar, counter-clockwise seen from outside, split along its shorter
+    /// diagonal. `uv` are the coordinates of its corners. Degenerate triangles are skipped.
     pub fn quad(&mut self, corners: [DVec3; 4], uv: [DVec2; 4], skin: Skin) {
         let shorter = corners[0].distance_squared(corners[2]) <= corners[1].distance_squared(corners[3]);
         let halves = if shorter { [[0, 1, 2], [0, 2, 3]] } else { [[0, 1, 3], [1, 2, 3]] };
@@ -63,8 +63,8 @@ impl Mesh {
         }
     }
 
-    /// Adds the surface through lines with the same number of points. Seen from outside, the second line is to the
-    /// left of the first. `skin` takes the indices of line and point; `None` leaves a hole.
+    /// Adds the surface through lines with the same number of points. Seen from outside, the second line is
+    /// to the left of the first. `skin` takes the indices of line and point; `None` leaves a hole.
     pub fn loft(&mut self, lines: &[impl AsRef<[DVec3]>], skin: impl Fn(usize, usize) -> Option<Skin>) {
         let mut across = vec![0.0; lines.first().map_or(0, |l| l.as_ref().len())];
         for (i, pair) in lines.windows(2).enumerate() {
@@ -84,8 +84,8 @@ impl Mesh {
         }
     }
 
-    /// Adds the surface through rings, open at both ends. The axes `u × v` must point from each ring towards the
-    /// next. `skin` takes the indices of ring and segment.
+    /// Adds the surface through rings, open at both ends. The axes `u × v` must point from each ring towards
+    /// the next. `skin` takes the indices of ring and segment.
     pub fn sleeve(&mut self, rings: &[Ring], segments: usize, skin: impl Fn(usize, usize) -> Skin) {
         let line = |ring: &Ring| -> Vec<DVec3> {
             let mut line: Vec<DVec3> = ring.corners(segments).collect();
@@ -105,8 +105,9 @@ impl Mesh {
         self.sleeve(&closed, segments, |i, j| skin(i.clamp(1, rings.len() - 1) - 1, j));
     }
 
-    /// Adds a body of revolution. `profile` has the radius and the distance along a unit `axis` from `base`, meters,
-    /// from its far side over the rim to its near side. `skin` takes the indices of profile point and segment.
+    /// Adds a body of revolution. `profile` has the radius and the distance along a unit `axis` from `base`,
+    /// meters, from its far side over the rim to its near side. `skin` takes the indices of profile point and
+    /// segment.
     pub fn lathe(
         &mut self,
         (base, axis): (DVec3, DVec3),

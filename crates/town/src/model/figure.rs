@@ -65,8 +65,8 @@ impl Figure {
         self.tubes.push(Tube { rings: spine.iter().enumerate().map(ring).collect(), segments, skin });
     }
 
-    /// Adds a ring of revolution around an axis to the left. `profile` has radius and distance along the axis, far
-    /// side first; its last point equals the first.
+    /// Adds a ring of revolution around an axis to the left. `profile` has radius and distance along the
+    /// axis, far side first; its last point equals the first.
     pub(super) fn revolve(&mut self, hub: DVec3, profile: &[[f64; 2]], segments: usize, skin: Skin) {
         let ring = |[radius, along]: &[f64; 2]| Ring::circle(hub + DVec3::Y * *along, DVec3::Y, *radius);
         self.loops.push(Tube { rings: profile.iter().map(ring).collect(), segments, skin });
@@ -111,8 +111,8 @@ impl Figure {
     }
 }
 
-/// Returns the joint between two limbs of the given lengths from `from` to `to`, bent towards `bend`. If the limbs
-/// are too short, it is on the line between them.
+/// Returns the joint between two limbs of the given lengths from `from` to `to`, bent towards `bend`. If the
+/// limbs are too short, it is on the line between them.
 pub(super) fn joint(from: DVec3, to: DVec3, lengths: [f64; 2], bend: DVec3) -> DVec3 {
     let (away, distance) = ((to - from).normalize_or_zero(), from.distance(to));
     let [a, b] = lengths;

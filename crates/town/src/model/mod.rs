@@ -1,9 +1,10 @@
 //! Bodies of the town's actors: vehicles, pedestrians, cyclists and cones.
 //!
 //! # How it works
-//! A body's properties are drawn from its seed (`dice`): first its size, then its proportions and colors. Cars, vans,
-//! buses and the cabs of trucks have a hull of cross sections (`shell`) with wheels and trim; people are built from
-//! rings (`figure`). The triangles are then fitted to the exact size. [`surface`] samples triangles as points.
+//! A body's properties are drawn from its seed (`dice`): first its size, then its proportions and colors.
+//! Cars, vans, buses and the cabs of trucks have a hull of cross sections (`shell`) with wheels and trim;
+//! people are built from rings (`figure`). The triangles are then fitted to the exact size. [`surface`]
+//! samples triangles as points.
 
 mod bus;
 mod car;
@@ -58,7 +59,8 @@ impl Body {
         }
     }
 
-    /// Returns length, width and height of its box, meters: the bounds of its mesh over all poses, mirrors included.
+    /// Returns length, width and height of its box, meters: the bounds of its mesh over all poses, mirrors
+    /// included.
     pub fn size_m(self) -> DVec3 {
         if self.poses() == 1 {
             return self.drawn().size_m();
@@ -93,8 +95,8 @@ impl Body {
         (share * self.poses() as f64).round() as usize % self.poses()
     }
 
-    /// Returns its triangles in one of its poses (modulo their number). The origin is on the ground below the middle
-    /// of its box; x forward, y left, z up.
+    /// Returns its triangles in one of its poses (modulo their number). The origin is on the ground below the
+    /// middle of its box; x forward, y left, z up.
     pub fn mesh(self, pose: usize) -> Mesh {
         self.drawn().mesh(pose)
     }
@@ -104,8 +106,9 @@ impl Body {
     }
 }
 
-/// Returns the typical body of a kind: mid-range dimensions and the first color of each palette. A walker is in its
-/// widest pose, other bodies are in pose 0. Bounds (a cyclist's over all poses) are centred over the origin.
+/// Returns the typical body of a kind: mid-range dimensions and the first color of each palette. A walker is
+/// in its widest pose, other bodies are in pose 0. Bounds (a cyclist's over all poses) are centred over the
+/// origin.
 pub fn typical(kind: BodyKind) -> Mesh {
     match Drawn::new(kind, &mut Dice::Typical) {
         Drawn::Walker(walker) => centred(&walker.figure(walker.widest()).mesh()),

@@ -1,9 +1,9 @@
 //! Hull of a vehicle: cross sections, one at each `x`.
 //!
 //! # How it works
-//! A section is [`ROWS`] points of the left side, from the middle of the underside over sill, shoulder, window and
-//! roof edge to the middle of the top. All sections have the same rows, so rows from nose to tail bound hood,
-//! windows, pillars and roof. Wheel arches raise the underside.
+//! A section is [`ROWS`] points of the left side, from the middle of the underside over sill, shoulder,
+//! window and roof edge to the middle of the top. All sections have the same rows, so rows from nose to tail
+//! bound hood, windows, pillars and roof. Wheel arches raise the underside.
 
 use glam::DVec3;
 
@@ -167,8 +167,8 @@ impl Shell {
         self.arches.iter().map(arch).fold(plain, f64::max)
     }
 
-    /// Returns the positions of the sections: at `edges`, at arches and ends, and at bends of the top unless another
-    /// is near.
+    /// Returns the positions of the sections: at `edges`, at arches and ends, and at bends of the top unless
+    /// another is near.
     pub(super) fn stations(&self, edges: &[f64]) -> Vec<f64> {
         let mut exact: Vec<f64> = edges.to_vec();
         exact.extend([self.rear.x, self.front.x]);
@@ -203,7 +203,8 @@ impl Shell {
         mesh
     }
 
-    /// Returns the left half of an end. `skin` takes the lower row and the position between middle (0) and side (1).
+    /// Returns the left half of an end. `skin` takes the lower row and the position between middle (0) and
+    /// side (1).
     pub(super) fn cap(&self, front: bool, skin: impl Fn(usize, f64) -> Skin) -> Mesh {
         let end = if front { &self.front } else { &self.rear };
         let section = self.section(end.x);
@@ -230,7 +231,8 @@ impl Shell {
         mesh
     }
 
-    /// Returns the point of an end at a row and a share of the half width; row [`row::ROOF_EDGE`] is the upper rim.
+    /// Returns the point of an end at a row and a share of the half width; row [`row::ROOF_EDGE`] is the
+    /// upper rim.
     fn on_cap(&self, front: bool, section: &[DVec3; ROWS], row: usize, c: f64) -> DVec3 {
         let (end, sign) = if front { (&self.front, 1.0) } else { (&self.rear, -1.0) };
         let [low, high] = [section[1].z, section[row::RAIL].z];
@@ -251,8 +253,8 @@ impl Shell {
         end.x + sign * end.bow * (1.0 - (2.0 * up - 1.0).powi(4))
     }
 
-    /// Returns a panel offset from the left side, between two rows, at the given `xs`; its borders descend into the
-    /// hull.
+    /// Returns a panel offset from the left side, between two rows, at the given `xs`; its borders descend
+    /// into the hull.
     pub(super) fn patch(&self, xs: &[f64], rows: [usize; 2], out: f64, skin: Skin) -> Mesh {
         let (Some(first), Some(last)) = (xs.first(), xs.last()) else { return Mesh::default() };
         let line = |(x, out): (f64, f64)| -> Vec<DVec3> {

@@ -23,9 +23,9 @@ pub struct SurfacePoint {
     pub outside: bool,
 }
 
-/// Samples the surfaces that are visible from the side or from above. The points are the first hits of parallel rays
-/// in thirteen directions, with a spacing of three quarters of `spacing_m`. At most 2048 rays cross the mesh in a
-/// row. The result is deterministic; it is empty if the mesh has no finite extent.
+/// Samples the surfaces that are visible from the side or from above. The points are the first hits of
+/// parallel rays in thirteen directions, with a spacing of three quarters of `spacing_m`. At most 2048 rays
+/// cross the mesh in a row. The result is deterministic; it is empty if the mesh has no finite extent.
 pub fn surface(mesh: &Mesh, spacing_m: f64) -> Vec<SurfacePoint> {
     let step_m = 0.75 * spacing_m;
     directions().par_iter().flat_map_iter(|direction| seen_along(mesh, *direction, step_m)).collect()
@@ -44,8 +44,8 @@ fn directions() -> Vec<DVec3> {
     all
 }
 
-/// Returns the first hits of parallel rays along a unit direction. Rays pass through a square grid of `step_m`
-/// aligned to the origin.
+/// Returns the first hits of parallel rays along a unit direction. Rays pass through a square grid of
+/// `step_m` aligned to the origin.
 pub(super) fn seen_along(mesh: &Mesh, direction: DVec3, step_m: f64) -> Vec<SurfacePoint> {
     let (u, v) = direction.any_orthonormal_pair();
     let turn = DMat3::from_cols(u, v, direction).transpose();
@@ -92,8 +92,8 @@ fn bounds(mesh: &Mesh, turn: DMat3) -> Option<[DVec3; 2]> {
     places.try_fold([first, first], join).filter(|_| first.is_finite())
 }
 
-/// Calls `at` with each grid point (in steps) that a triangle covers along z, and its z there. Skips triangles seen
-/// edge-on.
+/// Calls `at` with each grid point (in steps) that a triangle covers along z, and its z there. Skips
+/// triangles seen edge-on.
 fn cover(corners: [DVec3; 3], step_m: f64, mut at: impl FnMut([f64; 2], f64)) {
     let [a, b, c] = corners;
     let flat = |p: DVec3| DVec2::new(p.x, p.y);

@@ -228,7 +228,8 @@ fn surfaces_are_what_can_be_seen() {
         assert!(off.iter().all(|d| *d > -1e-6));
         sides[side] += 1;
     }
-    // 5 directions see the top; each side is seen by one perpendicular direction and by two pairs of oblique ones.
+    // 5 directions see the top; each side is seen by one perpendicular direction and by two pairs of oblique
+    // ones.
     let per_m2 = 1.0 / (0.015 * 0.015);
     let half = 0.5_f64.sqrt();
     let slant = 1.0 / 3.0_f64.sqrt();

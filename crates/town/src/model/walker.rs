@@ -268,8 +268,8 @@ impl Walker {
     }
 }
 
-/// Returns the position of a leg between ahead (1) and back (-1). During stance it moves back linearly, so that the
-/// foot does not slide.
+/// Returns the position of a leg between ahead (1) and back (-1). During stance it moves back linearly, so
+/// that the foot does not slide.
 fn swing(phase: f64) -> f64 {
     let phase = phase.rem_euclid(TAU);
     if phase < TAU / 2.0 { 1.0 - 4.0 * phase / TAU } else { phase.cos() }

@@ -50,7 +50,8 @@ impl Wheel {
     }
 }
 
-/// Adds a shell's left wheels (radius and width in meters), and blocks that close the wheel wells behind them.
+/// Adds a shell's left wheels (radius and width in meters), and blocks that close the wheel wells behind
+/// them.
 pub(super) fn under(shell: &Shell, [radius, width]: [f64; 2], (rim, spokes): (Skin, usize), mesh: &mut Mesh) {
     for arch in &shell.arches {
         let out = shell.half_width_at(arch.x) * 0.985 - 0.012;

@@ -34,8 +34,8 @@ fn gap_rad(from: &Mouth, to: &Mouth) -> f64 {
     if gap < 1e-9 { TAU } else { gap }
 }
 
-/// Returns the distances of the mouths from the middle, meters, at which kerbs of the radius fit between them.
-/// Requires sorted mouths.
+/// Returns the distances of the mouths from the middle, meters, at which kerbs of the radius fit between
+/// them. Requires sorted mouths.
 pub(super) fn distances_m(mouths: &[Mouth], radius_m: f64) -> Vec<f64> {
     let n = mouths.len();
     let mut distances_m = vec![LEAST_M; n];
@@ -79,7 +79,8 @@ pub(super) fn outline(
     (corners, edges)
 }
 
-/// Returns a point that sees the whole outline where two roads meet: between the kerbs, nearer to the outer one.
+/// Returns a point that sees the whole outline where two roads meet: between the kerbs, nearer to the outer
+/// one.
 pub(super) fn middle_of_bend(outline: &[DVec2], edges: &[JunctionEdge]) -> DVec2 {
     let starts: Vec<usize> = (0..edges.len()).filter(|i| edges[*i] != JunctionEdge::Kerb).collect();
     let [a, b] = starts[..] else { return outline.iter().sum::<DVec2>() / outline.len().max(1) as f64 };

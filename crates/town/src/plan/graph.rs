@@ -329,8 +329,8 @@ impl Grid {
         self.outs.iter().any(|(n, s, ..)| (*n, *s) == (node, side)).then_some(aside)
     }
 
-    /// Returns the direction in which a street leaves a node. Streets on opposite sides leave in opposite directions,
-    /// except one that crosses a block.
+    /// Returns the direction in which a street leaves a node. Streets on opposite sides leave in opposite
+    /// directions, except one that crosses a block.
     fn direction(&self, node: usize, side: usize) -> DVec2 {
         let here = self.nodes[node];
         let Some(target) = self.target(node, side) else { return self.side_direction(side) };

@@ -3,8 +3,8 @@
 use glam::DVec2;
 use point_skeleton::geometry::Polyline;
 
-/// Creates a path through points and skips those within 1e-9 m of the previous one. Fewer than two distinct points
-/// give a path of 1e-6 m in direction x.
+/// Creates a path through points and skips those within 1e-9 m of the previous one. Fewer than two distinct
+/// points give a path of 1e-6 m in direction x.
 pub fn polyline(points: &[DVec2]) -> Polyline {
     let mut kept: Vec<DVec2> = Vec::with_capacity(points.len());
     for point in points {
@@ -19,8 +19,8 @@ pub fn polyline(points: &[DVec2]) -> Polyline {
     Polyline::with_directions(kept, |step| step.normalize_or(DVec2::X)).expect("points of a plan are finite")
 }
 
-/// Returns the parallel line at a distance to the left, meters (negative: to the right), with a point for each input
-/// point on the bisector of its edges.
+/// Returns the parallel line at a distance to the left, meters (negative: to the right), with a point for
+/// each input point on the bisector of its edges.
 pub fn offset_line(line: &[DVec2], left_m: f64) -> Vec<DVec2> {
     let path = |i: usize| -> Option<DVec2> { (*line.get(i + 1)? - line[i]).try_normalize() };
     let normal = |i: usize| {
@@ -34,8 +34,8 @@ pub fn offset_line(line: &[DVec2], left_m: f64) -> Vec<DVec2> {
     line.iter().enumerate().map(|(i, p)| *p + normal(i) * left_m).collect()
 }
 
-/// Returns the area between two lines that run side by side, counter-clockwise: along the right one, back along the
-/// left one.
+/// Returns the area between two lines that run side by side, counter-clockwise: along the right one, back
+/// along the left one.
 pub fn area_between(right: &[DVec2], left: &[DVec2]) -> Vec<DVec2> {
     right.iter().chain(left.iter().rev()).copied().collect()
 }
@@ -52,8 +52,8 @@ pub(super) fn bezier([a, b, c, d]: [DVec2; 4], steps: usize) -> Vec<DVec2> {
     points
 }
 
-/// Returns the curvature at each point, 1/m, positive to the left: of the circle through it and its neighbours; 0 at
-/// the ends.
+/// Returns the curvature at each point, 1/m, positive to the left: of the circle through it and its
+/// neighbours; 0 at the ends.
 pub(super) fn curvature(line: &[DVec2]) -> Vec<f64> {
     let mut curvature = vec![0.0; line.len()];
     for (i, p) in line.windows(3).enumerate() {

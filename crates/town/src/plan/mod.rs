@@ -1,7 +1,7 @@
 //! Plan of the town: streets, lanes, traffic and the ego's route, without shapes.
 //!
-//! All coordinates are in the town's frame, meters: x and y on the ground, z up. Roads lie at z = 0, sidewalks
-//! [`KERB_M`] higher.
+//! All coordinates are in the town's frame, meters: x and y on the ground, z up. Roads lie at z = 0,
+//! sidewalks [`KERB_M`] higher.
 
 mod corner;
 mod graph;

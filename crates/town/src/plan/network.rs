@@ -17,7 +17,8 @@ pub struct Network {
     pub stop_lines: Vec<([DVec2; 2], usize)>,
 }
 
-/// Road between two junctions. Its cross section from the middle to either side: lanes, parking, kerb, sidewalk.
+/// Road between two junctions. Its cross section from the middle to either side: lanes, parking, kerb,
+/// sidewalk.
 #[derive(Clone, Debug)]
 pub struct Road {
     /// Middle of the road, a point about every meter; it ends where the junctions' areas begin.
@@ -134,8 +135,8 @@ impl Side {
 }
 
 impl Road {
-    /// Returns the line at a distance to the left of the middle, meters (negative: to the right), with a point for
-    /// each of `centerline`.
+    /// Returns the line at a distance to the left of the middle, meters (negative: to the right), with a
+    /// point for each of `centerline`.
     pub fn offset(&self, left_m: f64) -> Vec<DVec2> {
         offset_line(&self.centerline, left_m)
     }
@@ -205,8 +206,8 @@ impl TownLane {
 }
 
 impl Junction {
-    /// Returns its kerbs. Each runs counter-clockwise from the mouth of a road to that of the next, with the junction
-    /// on the left and the sidewalk on the right.
+    /// Returns its kerbs. Each runs counter-clockwise from the mouth of a road to that of the next, with the
+    /// junction on the left and the sidewalk on the right.
     pub fn kerbs(&self) -> Vec<Vec<DVec2>> {
         let n = self.outline.len();
         let Some(start) = self.edges.iter().position(|e| *e != JunctionEdge::Kerb) else { return Vec::new() };
@@ -232,8 +233,8 @@ impl Junction {
 }
 
 impl Network {
-    /// Returns the indices of a road's lanes, in the direction of its centerline and against it, each from the middle
-    /// outward.
+    /// Returns the indices of a road's lanes, in the direction of its centerline and against it, each from
+    /// the middle outward.
     pub fn lanes_of(&self, road: usize) -> [Vec<usize>; 2] {
         let lanes = (0..self.lanes.len()).filter(|i| self.lanes[*i].kind == LaneKind::Road(road));
         let mut forward: Vec<usize> = lanes.collect();

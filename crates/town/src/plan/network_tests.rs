@@ -26,7 +26,8 @@ fn outlines_of_junctions_are_stars_that_end_at_the_mouths_of_roads() {
                 let JunctionEdge::Road(road) = junction.edges[i] else { continue };
                 let road = &network.roads[road];
                 let [left, right] = Side::BOTH.map(|side| road.kerb(side));
-                // Seen from the junction, the right kerb is on the right at a road's start, on the left at its end.
+                // Seen from the junction, the right kerb is on the right at a road's start, on the left at
+                // its end.
                 let wanted = if road.junctions[0] == index {
                     [right[0], left[0]]
                 } else {
@@ -50,7 +51,8 @@ fn no_road_lies_on_another_or_on_a_junction() {
             outlines.iter().chain(network.junctions.iter().map(|j| &j.outline)).collect();
         for (i, area) in areas.iter().enumerate() {
             for (j, other) in areas.iter().enumerate().filter(|(j, _)| *j != i) {
-                // A road's end is also an edge of a junction, so shared points are neither inside nor outside.
+                // A road's end is also an edge of a junction, so shared points are neither inside nor
+                // outside.
                 let centre = other.iter().sum::<DVec2>() / other.len() as f64;
                 let inside = other.iter().map(|p| *p + (centre - *p).normalize() * 1e-3);
                 let inside = inside.filter(|p| contains(other, *p));

@@ -10,8 +10,8 @@ const PHASE_S: f64 = GREEN_S + YELLOW_S + CLEAR_S;
 const CYCLE_S: f64 = 2.0 * PHASE_S;
 
 impl Network {
-    /// Returns the state of the traffic light for vehicles that approach a junction on a road, at a time in seconds.
-    /// `None` without a traffic light.
+    /// Returns the state of the traffic light for vehicles that approach a junction on a road, at a time in
+    /// seconds. `None` without a traffic light.
     pub fn signal_at(&self, junction: usize, road: usize, t_s: f64) -> Option<Signal> {
         let at = self.signal_phase_s(junction, road, t_s)?;
         Some(match at {

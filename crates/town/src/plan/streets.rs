@@ -143,7 +143,8 @@ fn add_crossings(network: &mut Network, junction: usize) {
     }
 }
 
-/// Returns whether no roads or junctions overlap, all curves are wide enough and all outlines are star-shaped.
+/// Returns whether no roads or junctions overlap, all curves are wide enough and all outlines are
+/// star-shaped.
 fn fits(network: &Network) -> bool {
     network.roads.iter().all(road_fits)
         && network.junctions.iter().all(junction_fits)

@@ -62,14 +62,15 @@ pub(super) fn add_lanes(network: &mut Network) {
     }
 }
 
-/// Returns the lanes of a road that end at a junction and those that start there, each from the middle outward.
+/// Returns the lanes of a road that end at a junction and those that start there, each from the middle
+/// outward.
 fn lanes_at(network: &Network, junction: usize, road: usize) -> [Vec<usize>; 2] {
     let [forward, back] = network.lanes_of(road);
     if network.roads[road].junctions[1] == junction { [forward, back] } else { [back, forward] }
 }
 
-/// Adds the paths from one road through a junction: from the outermost lane to the right, from the innermost to the
-/// left, from all lanes straight ahead. A lane without any of these gets paths to the available roads.
+/// Adds the paths from one road through a junction: from the outermost lane to the right, from the innermost
+/// to the left, from all lanes straight ahead. A lane without any of these gets paths to the available roads.
 fn add_ways(network: &mut Network, junction: usize, from: usize) {
     let [incoming, _] = lanes_at(network, junction, from);
     let mut targets: Vec<(Turn, Vec<usize>)> = Vec::new();

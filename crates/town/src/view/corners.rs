@@ -1,9 +1,9 @@
 //! Identification of triangles by their provoking vertex.
 //!
 //! # How it works
-//! The device reports the provoking vertex of the triangle that a sample shows. To identify the triangle, no two
-//! triangles may start with the same vertex: their corners are rotated, and if all corners of a triangle are taken,
-//! its first is duplicated. The host then looks up the triangle and computes its depth in `f64`.
+//! The device reports the provoking vertex of the triangle that a sample shows. To identify the triangle, no
+//! two triangles may start with the same vertex: their corners are rotated, and if all corners of a triangle
+//! are taken, its first is duplicated. The host then looks up the triangle and computes its depth in `f64`.
 
 use std::ops::Range;
 
@@ -38,7 +38,8 @@ impl Corners {
     /// Concatenates meshes.
     ///
     /// # Errors
-    /// Returns an error if a triangle has a corner that its mesh does not have, or if there are too many corners.
+    /// Returns an error if a triangle has a corner that its mesh does not have, or if there are too many
+    /// corners.
     pub(super) fn new(meshes: &[&Mesh]) -> Result<Self, MeshRenderError> {
         let mut all = Self::default();
         for (number, mesh) in meshes.iter().enumerate() {

@@ -1,8 +1,8 @@
 //! Sample grid and projection of a view.
 //!
 //! # How it works
-//! A tile of `w × h` pixels has `(2w + 1) × (2h + 1)` samples at half-pixel steps, so that sample `(2i + 1, 2j + 1)`
-//! lies at the centre of pixel `(i, j)` and the others on the borders of pixels.
+//! A tile of `w × h` pixels has `(2w + 1) × (2h + 1)` samples at half-pixel steps, so that sample `(2i + 1,
+//! 2j + 1)` lies at the centre of pixel `(i, j)` and the others on the borders of pixels.
 
 use glam::{DAffine3, DMat3, DVec3, DVec4};
 use point_skeleton::geometry::View;

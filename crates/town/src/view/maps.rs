@@ -1,9 +1,9 @@
 //! Shadow maps of the sun, and a sky visibility map (`glsl/depth.vert`).
 //!
 //! # How it works
-//! Three orthographic depth maps surround the camera: a fine and a coarse one perpendicular to the sun's rays, and
-//! one from above, which gives the visible share of the sky. Their centers move in whole texels, so that shadows do
-//! not swim. The centers depend only on the camera's position.
+//! Three orthographic depth maps surround the camera: a fine and a coarse one perpendicular to the sun's
+//! rays, and one from above, which gives the visible share of the sky. Their centers move in whole texels, so
+//! that shadows do not swim. The centers depend only on the camera's position.
 
 use std::sync::Arc;
 

@@ -1,15 +1,16 @@
-//! Ground-truth renderer of the town: color, depth, class and instance of any view, with triangles on the device.
+//! Ground-truth renderer of the town: color, depth, class and instance of any view, with triangles on the
+//! device.
 //!
 //! # How it works
-//! 1. [`Light`] gives the sun's position and the sky; three depth maps around the camera give their visibility
-//!    (`maps`).
-//! 2. A view is a grid of samples at half-pixel steps (`lens`). A first pass determines the surface of each sample
-//!    (`surfaces`), later passes shade it once, and a last one resolves samples to pixels (`shade`).
-//! 3. A pixel's depth, class and instance are those of the sample at its centre. The device reports the triangle
-//!    (`corners`), the host computes its depth in `f64` (`truth`).
+//! 1. [`Light`] gives the sun's position and the sky; three depth maps around the camera give their
+//!    visibility (`maps`).
+//! 2. A view is a grid of samples at half-pixel steps (`lens`). A first pass determines the surface of each
+//!    sample (`surfaces`), later passes shade it once, and a last one resolves samples to pixels (`shade`).
+//! 3. A pixel's depth, class and instance are those of the sample at its centre. The device reports the
+//!    triangle (`corners`), the host computes its depth in `f64` (`truth`).
 //!
-//! The appearance of a surface follows from its kind, its color and a seed (`glsl/*.frag`); there are no image
-//! files.
+//! The appearance of a surface follows from its kind, its color and a seed (`glsl/*.frag`); there are no
+//! image files.
 
 mod corners;
 mod error;
@@ -64,8 +65,8 @@ impl MeshRenderer {
     /// Uploads all meshes; they may be dropped afterwards.
     ///
     /// # Errors
-    /// Returns an error if a triangle has a corner that its mesh does not have, if memory is insufficient, or if the
-    /// device lacks a required feature.
+    /// Returns an error if a triangle has a corner that its mesh does not have, if memory is insufficient, or
+    /// if the device lacks a required feature.
     pub fn new(device: &Arc<Device>, meshes: &[&Mesh]) -> Result<Self, MeshRenderError> {
         let corners = Corners::new(meshes)?;
         let triangles = Triangles::new(device, &corners)?;

@@ -2,10 +2,10 @@
 //! `resolve.frag`).
 //!
 //! # How it works
-//! A first pass over all samples computes the visible share of sun and sky, and writes the kind of each sample's
-//! shader as depth. Each shader then runs over all samples with the depth test EQUAL, so that it shades only its own
-//! samples. A last pass resolves samples to pixels: color with the tent filter 1-2-1 in linear light, triangle and
-//! draw from the sample at the pixel's centre.
+//! A first pass over all samples computes the visible share of sun and sky, and writes the kind of each
+//! sample's shader as depth. Each shader then runs over all samples with the depth test EQUAL, so that it
+//! shades only its own samples. A last pass resolves samples to pixels: color with the tent filter 1-2-1 in
+//! linear light, triangle and draw from the sample at the pixel's centre.
 
 use std::sync::Arc;
 

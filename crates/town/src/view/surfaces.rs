@@ -1,9 +1,9 @@
 //! Visible surface of each sample (`glsl/surface.vert`, `.frag`).
 //!
 //! # How it works
-//! Depth is `NEAR / z` under the test GREATER: 1 at the near plane, 0 at infinity, precise everywhere. Two more
-//! attachments store normal, color, surface, seed and uv, and the triangle with its draw. Shading is deferred, so
-//! overdraw costs little; near meshes are drawn first.
+//! Depth is `NEAR / z` under the test GREATER: 1 at the near plane, 0 at infinity, precise everywhere. Two
+//! more attachments store normal, color, surface, seed and uv, and the triangle with its draw. Shading is
+//! deferred, so overdraw costs little; near meshes are drawn first.
 
 use std::sync::Arc;
 

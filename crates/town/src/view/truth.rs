@@ -95,8 +95,8 @@ impl<'a> Scene<'a> {
         let [a, b, c] = self.corners.triangle(corner)?.map(|p| camera_from_mesh.transform_point3(p));
         let normal = (b - a).cross(c - a);
         let z = normal.dot(a) / normal.dot(ray);
-        // A ray almost parallel to the triangle may meet its plane anywhere, so z is clamped to the range of its
-        // corners.
+        // A ray almost parallel to the triangle may meet its plane anywhere, so z is clamped to the range of
+        // its corners.
         let (low, high) = (a.z.min(b.z).min(c.z), a.z.max(b.z).max(c.z));
         let z = if z.is_finite() { z.clamp(low, high) } else { low };
         Some((draw, z.max(NEAR_M)))

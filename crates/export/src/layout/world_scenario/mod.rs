@@ -1,6 +1,6 @@
-//! `world-scenario`: annotations of a clip for the world scenario renderer of Cosmos-Transfer2.5, and for `clipgt/` of AlpaSim: a
-//! folder per shard with `CLIP.KIND.parquet` for obstacle, calibration_estimate, egomotion_estimate, and, with an HD map, lane_line,
-//! road_boundary, crosswalk and wait_line.
+//! `world-scenario`: annotations of a clip for the world scenario renderer of Cosmos-Transfer2.5, and for
+//! `clipgt/` of AlpaSim: a folder per shard with `CLIP.KIND.parquet` for obstacle, calibration_estimate,
+//! egomotion_estimate, and, with an HD map, lane_line, road_boundary, crosswalk and wait_line.
 //!
 //! The origin of coordinates is the ego's pose at the first frame of the clip that is near most others.
 //! Schemas are those of NVIDIA's page *World Scenario Parquet File Structure*.

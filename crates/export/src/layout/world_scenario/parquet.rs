@@ -61,7 +61,8 @@ fn write(writer: &mut SerializedColumnWriter<'_>, column: &Column) -> Result<()>
     .map(|_| ())
 }
 
-/// Returns the definition and repetition levels of required lists: an empty list has one entry that is not defined.
+/// Returns the definition and repetition levels of required lists: an empty list has one entry that is not
+/// defined.
 fn levels<T>(lists: &[Vec<T>]) -> (Vec<i16>, Vec<i16>) {
     let of_list = |list: &Vec<T>| {
         let defined = i16::from(!list.is_empty());

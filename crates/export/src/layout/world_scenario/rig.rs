@@ -1,5 +1,5 @@
-//! `rig_json`: cameras in the f-theta model of DriveWorks, which maps the distance of a pixel from the principal point to the angle
-//! of its ray.
+//! `rig_json`: cameras in the f-theta model of DriveWorks, which maps the distance of a pixel from the
+//! principal point to the angle of its ray.
 
 use glam::{DMat3, DQuat, DVec3, EulerRot};
 use point_skeleton::dataset::RigCamera;
@@ -42,12 +42,13 @@ fn farthest_px(camera: &Camera) -> f64 {
     side(cx, camera.width).hypot(side(cy, camera.height))
 }
 
-/// Returns `k` with `k[0] + k[1] r + .. = atan(r / f)` for pixel distances up to `far_px`: `atan(r / f) / r`, interpolated in
-/// nodes that are denser far from the center than those of Chebyshev, since an error of the angle is `1 + (r / f)²` times as large
-/// in pixels.
+/// Returns `k` with `k[0] + k[1] r + .. = atan(r / f)` for pixel distances up to `far_px`: `atan(r / f) / r`,
+/// interpolated in nodes that are denser far from the center than those of Chebyshev, since an error of the
+/// angle is `1 + (r / f)²` times as large in pixels.
 pub(super) fn polynomial(focal_px: f64, far_px: f64) -> [f64; COEFFICIENTS] {
     const NODES: usize = COEFFICIENTS - 1;
-    /// By trial: errors of the cameras in the test are 0.02, 0.05 and 0.68 px; the best polynomials have 0.01, 0.03 and 0.53.
+    /// By trial: errors of the cameras in the test are 0.02, 0.05 and 0.68 px; the best polynomials have
+    /// 0.01, 0.03 and 0.53.
     const DENSITY: f64 = 0.57;
     let node = |i: usize| {
         let angle = std::f64::consts::PI * (2 * i + 1) as f64 / (2 * NODES) as f64;

@@ -1,5 +1,5 @@
-//! Checks of options and outputs that come before all work: outputs that cannot be written, too few frames, other options of a
-//! run that is resumed.
+//! Checks of options and outputs that come before all work: outputs that cannot be written, too few frames,
+//! other options of a run that is resumed.
 
 use std::os::unix::fs::{PermissionsExt, symlink};
 use std::path::Path;

@@ -104,8 +104,8 @@ fn exports_of_other_frames_or_shards_are_refused() {
     );
 }
 
-/// Another recording with the same name: other poses, boxes, cameras, categories, times, or points. Stated numbers of points
-/// are not part of a recording.
+/// Another recording with the same name: other poses, boxes, cameras, categories, times, or points. Stated
+/// numbers of points are not part of a recording.
 #[test]
 fn shards_and_skeletons_of_another_recording_are_not_taken() {
     let changes: [(&str, &str, Value); 7] = [

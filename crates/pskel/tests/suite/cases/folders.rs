@@ -47,8 +47,8 @@ fn names(folder: &Path) -> Vec<String> {
     names
 }
 
-/// Runs a script with the variable `PSKEL` in a log's folder, as root of a namespace that may mount. Returns `None`, and
-/// the test counts as skipped, where the system does not permit that or the script exits with 77.
+/// Runs a script with the variable `PSKEL` in a log's folder, as root of a namespace that may mount. Returns
+/// `None`, and the test counts as skipped, where the system does not permit that or the script exits with 77.
 fn in_namespace(log: &TinyLog, script: &str) -> Option<Output> {
     let run = |script: &str| {
         let mut command = Command::new("unshare");

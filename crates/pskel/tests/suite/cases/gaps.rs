@@ -33,8 +33,8 @@ pub(super) fn info(folder: &Path, log: &str) -> (Value, Option<i32>) {
     (serde_json::from_str(&ended.stdout).unwrap_or_else(|_| panic!("{}", ended.stderr)), ended.code)
 }
 
-/// Asserts the one policy: `build` skips and counts, `info` names the part and fails if a file is missing or damaged, and with
-/// `--missing error` every command refuses the log with the name of the part.
+/// Asserts the one policy: `build` skips and counts, `info` names the part and fails if a file is missing or
+/// damaged, and with `--missing error` every command refuses the log with the name of the part.
 #[track_caller]
 pub(super) fn assert_policy(folder: &Path, log: &str, note: &str, named: &str, info_code: i32) {
     let text = succeed(folder, &format!("build {log} --out policy"));
@@ -135,7 +135,8 @@ fn missing_files_are_skipped_and_counted_in_argoverse() {
     assert_policy(&root, &format!("av2:{}", root.display()), "missing camera images", "ring_front_center", 0);
 }
 
-/// The names of sweeps are known from the annotated times, and those of the folders of cameras from the calibration.
+/// The names of sweeps are known from the annotated times, and those of the folders of cameras from the
+/// calibration.
 #[test]
 fn missing_sweeps_and_folders_of_argoverse_are_missing_files() {
     let log = TinyAv2::new();

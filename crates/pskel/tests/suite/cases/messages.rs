@@ -1,5 +1,5 @@
-//! What is wrong with a file, in words that name the cause: numbers that JSON lacks, other encodings, empty files and
-//! pointers, Windows' names, map records without a shape, drivers that the environment names.
+//! What is wrong with a file, in words that name the cause: numbers that JSON lacks, other encodings, empty
+//! files and pointers, Windows' names, map records without a shape, drivers that the environment names.
 
 use std::path::Path;
 use std::process::Command;

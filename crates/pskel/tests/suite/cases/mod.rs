@@ -1,5 +1,5 @@
-//! Data of strangers: inputs that other tools stumbled over, one module per kind of fault. Each must be read with the right
-//! values, counted, or refused by a message that names the cause.
+//! Data of strangers: inputs that other tools stumbled over, one module per kind of fault. Each must be read
+//! with the right values, counted, or refused by a message that names the cause.
 
 mod clocks;
 mod columns;
@@ -31,7 +31,8 @@ pub(crate) struct Case {
 }
 
 impl Case {
-    /// Runs the generator of a case (`data/NAME`) on the shared recordings. Returns `None` where these are missing.
+    /// Runs the generator of a case (`data/NAME`) on the shared recordings. Returns `None` where these are
+    /// missing.
     pub(crate) fn new(name: &str) -> Option<Self> {
         let shared = shared("the case")?;
         let folder = tempfile::tempdir().unwrap();

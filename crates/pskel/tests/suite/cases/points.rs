@@ -1,4 +1,5 @@
-//! Points of strangers: origins, colors, and text that is not finite; coordinates and sizes beyond all limits.
+//! Points of strangers: origins, colors, and text that is not finite; coordinates and sizes beyond all
+//! limits.
 
 use std::path::Path;
 

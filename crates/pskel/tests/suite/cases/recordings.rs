@@ -1,4 +1,5 @@
-//! Another recording with the name of an earlier one is not taken for it: in skeletons, rollouts, protocols and drives.
+//! Another recording with the name of an earlier one is not taken for it: in skeletons, rollouts, protocols
+//! and drives.
 
 use point_skeleton::cloud::Bounds;
 use point_skeleton::error::FileError;

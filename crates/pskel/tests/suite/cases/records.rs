@@ -1,4 +1,5 @@
-//! Records of the tables that are missing, or written in another way: skipped and counted as missing files are, or understood.
+//! Records of the tables that are missing, or written in another way: skipped and counted as missing files
+//! are, or understood.
 
 use serde_json::{Value, json};
 

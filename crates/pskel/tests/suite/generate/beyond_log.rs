@@ -44,7 +44,8 @@ fn forecasts_go_on_after_the_end_of_the_log() {
         }
         match ego {
             EgoPolicy::Replay => {
-                // The log has 10 steps, and a plan is two: 5, 4 and 3 steps before the end, two forecasts are in the log.
+                // The log has 10 steps, and a plan is two: 5, 4 and 3 steps before the end, two forecasts are
+                // in the log.
                 let counts: Vec<usize> = seen.iter().map(|(_, count)| *count).collect();
                 assert_eq!(counts, [3, 3, 3, 3, 3, 2, 2, 1, 1, 0, 0]);
             }

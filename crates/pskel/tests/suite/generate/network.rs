@@ -141,7 +141,8 @@ fn latents_of_the_drives_have_unit_variance() {
     assert!(error.contains("conditions of 2 cameras, found 3"), "{error}");
 }
 
-/// The prior is the error of the filled color: nothing if points show the whole image, that of gray if there are none.
+/// The prior is the error of the filled color: nothing if points show the whole image, that of gray if there
+/// are none.
 #[test]
 fn priors_are_the_error_of_the_filled_color() {
     let full = |mut drive: TrainingClip| {
@@ -424,8 +425,8 @@ fn the_cache_of_the_shipped_network_has_seen_no_forecast() {
     the_cache_has_seen_no_forecast(&Weights::shipped().unwrap());
 }
 
-/// Compares bit by bit, with the network itself and the same seed: other forecasts change neither caches nor later
-/// frames, unless frames roll on.
+/// Compares bit by bit, with the network itself and the same seed: other forecasts change neither caches nor
+/// later frames, unless frames roll on.
 fn the_cache_has_seen_no_forecast(weights: &Weights) {
     let conditions = conditions(&made_for(&weights.config, VIEWS, 1, 8));
     let elsewhere = self::conditions(&made_for(&weights.config, VIEWS, 2, 8));

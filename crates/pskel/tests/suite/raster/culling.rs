@@ -17,7 +17,8 @@ fn view(turn_deg: f64) -> View {
     View { camera, camera_from_world: glam::DAffine3::from_rotation_y(turn_deg.to_radians()) }
 }
 
-/// Walls of so many points at some depths, each with a hole of one pixel, and a slope of points behind each other.
+/// Walls of so many points at some depths, each with a hole of one pixel, and a slope of points behind each
+/// other.
 fn walls(random: &mut Random, count: usize, depths_m: &[f64]) -> Vec<Point> {
     let mut points = Vec::new();
     let color = |random: &mut Random| [random.below(256) as u8, random.below(256) as u8, 7];

@@ -88,8 +88,8 @@ fn the_crop_is_a_square_with_its_border() {
     });
 }
 
-/// Many points of one pixel draw the largest squares. The first of the nearest points wins its whole square, and so
-/// does a point that is nearer by one `f32` step.
+/// Many points of one pixel draw the largest squares. The first of the nearest points wins its whole square,
+/// and so does a point that is nearer by one `f32` step.
 #[test]
 fn points_without_number_in_one_pixel_have_one_winner() {
     let at = |x: f32, y: f32, z: f32| point([(x + 0.5) * z, (y + 0.5) * z, z]);

@@ -2,7 +2,8 @@
 
 use super::random::Random;
 
-/// `floor_quotient` of glsl/common/quotient.wgsl and glsl/splat.vert, with the quotient that a device returns.
+/// `floor_quotient` of glsl/common/quotient.wgsl and glsl/splat.vert, with the quotient that a device
+/// returns.
 fn floor_quotient(a: f32, b: f32, quotient: f32) -> f32 {
     let whole = quotient.round_ties_even();
     if whole == 0.0 || (quotient - whole).abs() > 1e-6 * quotient.abs() {
@@ -25,7 +26,8 @@ fn moved(value: f32, steps: i32) -> f32 {
     (0..steps.abs()).fold(value, |value, _| if steps > 0 { value.next_up() } else { value.next_down() })
 }
 
-/// Vulkan allows 2.5 units in the last place. The check can fail: without the correction some floors are wrong.
+/// Vulkan allows 2.5 units in the last place. The check can fail: without the correction some floors are
+/// wrong.
 #[test]
 fn floors_of_quotients_are_exact_whatever_a_device_returns() {
     let random = &mut Random(42);

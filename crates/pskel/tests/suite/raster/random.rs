@@ -31,7 +31,8 @@ impl Random {
     }
 }
 
-/// Returns a point near the camera's frustum; sometimes on the border of a pixel or a depth step, sometimes invalid.
+/// Returns a point near the camera's frustum; sometimes on the border of a pixel or a depth step, sometimes
+/// invalid.
 fn random_point(random: &mut Random, schedule: &SplatSchedule) -> Point {
     let steps = schedule.steps();
     let far = f64::from(schedule.z_far_m());

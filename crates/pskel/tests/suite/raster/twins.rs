@@ -107,8 +107,8 @@ pub(crate) struct Case {
 }
 
 impl Case {
-    /// Creates a camera of focal length 1 with its principal point at the corner: the point `(i·z, j·z, z)` is in
-    /// pixel (i, j).
+    /// Creates a camera of focal length 1 with its principal point at the corner: the point `(i·z, j·z, z)`
+    /// is in pixel (i, j).
     pub(crate) fn new(width: u32, height: u32, schedule: &str, clouds: &[&[Point]]) -> Self {
         let rows = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
         let camera = Camera::new("test", width, height, rows).unwrap();

@@ -101,8 +101,8 @@ fn vehicles_leave_the_log_and_others_do_not() {
 
 #[test]
 fn a_follower_keeps_off_an_ego_that_stops() {
-    // The ego brakes in its own log at 2 m/s² from 1 s to 5 s, as hard as an IDM follower can; "brief" drives behind
-    // it from 2 s on.
+    // The ego brakes in its own log at 2 m/s² from 1 s to 5 s, as hard as an IDM follower can; "brief" drives
+    // behind it from 2 s on.
     let mut log = made::log(12);
     let stop = made::road(24.0, 0.0);
     for (i, frame) in log.frames.iter_mut().enumerate() {

@@ -125,8 +125,8 @@ fn the_example_stops_at_the_end_of_the_path() {
     assert!(local.y.abs() < 0.5, "{local}");
 }
 
-/// Planner that appends its messages to the file `seen` of a folder, and drives straight on at 8 m/s with trajectories
-/// in the ego frame.
+/// Planner that appends its messages to the file `seen` of a folder, and drives straight on at 8 m/s with
+/// trajectories in the ego frame.
 fn recorder(folder: &Path) -> PlannerAddress {
     let lines = format!(
         "out = open({:?}, 'a')\nwhile True:\n    m = see()\n    print(json.dumps(m), file=out, flush=True)\n    \
@@ -176,7 +176,8 @@ fn planners_see_what_is_promised() {
     assert!((path[0][0].as_f64().unwrap() - start.translation.x).abs() < 1e-6);
 }
 
-/// States of the last 2 s come with the first observation, of the log before the start; then those since the last one.
+/// States of the last 2 s come with the first observation, of the log before the start; then those since the
+/// last one.
 #[test]
 fn planners_see_the_past_once() {
     let log = made::log(6);

@@ -27,8 +27,8 @@ fn yaw(station_m: f64) -> f64 {
     0.4 + 0.3 * (station_m / 40.0).sin()
 }
 
-/// Returns the pose beside the road's center line at a station and an offset to the left, meters. Integrates by
-/// Simpson's rule with steps of at most half a meter.
+/// Returns the pose beside the road's center line at a station and an offset to the left, meters. Integrates
+/// by Simpson's rule with steps of at most half a meter.
 pub(crate) fn road(station_m: f64, left_m: f64) -> Pose {
     let count = 2 * (station_m.abs().ceil() as usize + 1);
     let h = station_m / count as f64;

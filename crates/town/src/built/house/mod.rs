@@ -1,6 +1,7 @@
 //! Houses, derived from their lot's seed and the town's palette.
 //!
-//! In a house's frame x runs along its front, to the right as seen from the street, y away from the street, z up.
+//! In a house's frame x runs along its front, to the right as seen from the street, y away from the street, z
+//! up.
 
 mod church;
 mod extras;

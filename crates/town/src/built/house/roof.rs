@@ -70,8 +70,8 @@ fn flat(mesh: &mut Mesh, house: &mut House, top: f64) {
     }
 }
 
-/// Adds a pitched roof over a rectangle with its ridge along x; `party` marks adjoining houses at the left and the
-/// right.
+/// Adds a pitched roof over a rectangle with its ridge along x; `party` marks adjoining houses at the left
+/// and the right.
 fn gable(mesh: &mut Mesh, house: &mut House, [w, d]: [f64; 2], slope: f64, party: [bool; 2]) {
     let (top, rise) = (house.eaves_m(), d / 2.0 * slope);
     let eaves = top - EAVES_M * slope;

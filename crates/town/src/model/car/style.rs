@@ -2,8 +2,8 @@
 
 use crate::model::kind::BodyKind;
 
-/// Ranges that a car's dimensions are drawn from: in meters, as shares of the length from the front, or as shares of
-/// the height.
+/// Ranges that a car's dimensions are drawn from: in meters, as shares of the length from the front, or as
+/// shares of the height.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Style {
     pub(super) length: [f64; 2],

@@ -1,4 +1,5 @@
-//! Conflicts between paths through a junction: which paths cross, and from where on one has cleared the other.
+//! Conflicts between paths through a junction: which paths cross, and from where on one has cleared the
+//! other.
 
 use glam::DVec2;
 use point_skeleton::geometry::{Footprint, Polyline};
@@ -15,8 +16,9 @@ const LONG_M: [f64; 3] = [12.6, 3.1, 7.0];
 const STEP_M: f64 = 0.8;
 const BEYOND_M: f64 = 8.0;
 
-/// Returns two tables, for pairs of cars and for pairs with a long vehicle. For paths `(a, b)` they have the distance
-/// along `a` that the middle of a vehicle must have reached so that no vehicle on `b` can touch it, meters.
+/// Returns two tables, for pairs of cars and for pairs with a long vehicle. For paths `(a, b)` they have the
+/// distance along `a` that the middle of a vehicle must have reached so that no vehicle on `b` can touch it,
+/// meters.
 pub(super) fn tables(
     paths: &[Polyline],
     ways: &[Option<JunctionPath>],

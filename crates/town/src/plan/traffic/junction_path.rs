@@ -2,7 +2,8 @@
 
 use crate::plan::{JunctionKind, Turn};
 
-/// Distance from the end of a road's lane back to the stop position, meters: before a crossing, and before a bend.
+/// Distance from the end of a road's lane back to the stop position, meters: before a crossing, and before a
+/// bend.
 pub(super) const STOP_M: f64 = 7.0;
 const STOP_FREE_M: f64 = 0.5;
 

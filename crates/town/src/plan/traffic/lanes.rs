@@ -62,8 +62,8 @@ impl<'a> Lanes<'a> {
         })
     }
 
-    /// Returns the distance along path `a` that the middle of a vehicle must have reached so that no vehicle on path
-    /// `b` can touch it, meters. `None` if the two do not come near each other.
+    /// Returns the distance along path `a` that the middle of a vehicle must have reached so that no vehicle
+    /// on path `b` can touch it, meters. `None` if the two do not come near each other.
     pub(super) fn clear_m(&self, a: usize, b: usize, long: bool) -> Option<f64> {
         self.clear_m[usize::from(long)].get(&(a, b)).copied()
     }

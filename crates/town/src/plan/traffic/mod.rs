@@ -1,10 +1,10 @@
 //! Traffic: motion of vehicles and pedestrians, and parked vehicles.
 //!
 //! # How it works
-//! The ego's start is chosen first ([`start`]). Vehicles around it and walkers are simulated for some seconds before
-//! time 0, so that queues have formed when the recording begins ([`world`], [`walker`]). At time 0 the ego and some
-//! vehicles around it are added. From then on all motion is recorded. Parked vehicles are placed in the parking
-//! strips ([`park`]).
+//! The ego's start is chosen first ([`start`]). Vehicles around it and walkers are simulated for some seconds
+//! before time 0, so that queues have formed when the recording begins ([`world`], [`walker`]). At time 0 the
+//! ego and some vehicles around it are added. From then on all motion is recorded. Parked vehicles are placed
+//! in the parking strips ([`park`]).
 
 mod bodies;
 mod clash;

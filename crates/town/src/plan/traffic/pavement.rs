@@ -6,8 +6,8 @@ use point_skeleton::geometry::Polyline;
 use crate::plan::line::{offset_line, polyline};
 use crate::plan::{Network, Side};
 
-/// Minimum distance of walkers to the kerb, where poles are, on sidewalks up to and above `WIDE_M`, and to the
-/// houses, meters. Wide sidewalks have wider furniture.
+/// Minimum distance of walkers to the kerb, where poles are, on sidewalks up to and above `WIDE_M`, and to
+/// the houses, meters. Wide sidewalks have wider furniture.
 const POLES_M: f64 = 1.3;
 const POLES_WIDE_M: f64 = 1.62;
 const WIDE_M: f64 = 3.3;
@@ -112,8 +112,8 @@ impl Track {
         self.path.nearest(point)
     }
 
-    /// Returns the part around a position along it, in walking direction, from `before_m` before to `after_m` after,
-    /// meters.
+    /// Returns the part around a position along it, in walking direction, from `before_m` before to `after_m`
+    /// after, meters.
     pub(super) fn part(&self, along_m: f64, before_m: f64, after_m: f64) -> Vec<DVec2> {
         let sign = if self.forward { 1.0 } else { -1.0 };
         let steps = (before_m + after_m).ceil().max(1.0) as usize;

@@ -19,8 +19,8 @@ const SPACING_M: f64 = 46.0;
 const MOST: usize = 60;
 /// Maximum number of crossings with pedestrians.
 const CROSSED: usize = 8;
-/// Offset of crossing walkers to the right of a crossing's middle, so that opposite directions pass each other,
-/// meters.
+/// Offset of crossing walkers to the right of a crossing's middle, so that opposite directions pass each
+/// other, meters.
 const PASS_M: f64 = 0.75;
 
 /// Generator of pedestrians.

@@ -11,7 +11,8 @@ use crate::model::{Body, BodyKind};
 use crate::plan::random::Random;
 use crate::plan::{LaneKind, Signal, Turn};
 
-/// Length and width of the recording car, and the distance of its box's middle ahead of its rear axle, meters.
+/// Length and width of the recording car, and the distance of its box's middle ahead of its rear axle,
+/// meters.
 pub(super) const EGO_M: DVec2 = DVec2::new(5.176, 2.297);
 pub(super) const EGO_AHEAD_M: f64 = 1.461;
 /// Initial speed of the ego, m/s.
@@ -25,7 +26,8 @@ const NEAR_M: f64 = 140.0;
 /// Length of lane per vehicle, meters, and min and max number of vehicles.
 const SPACING_M: f64 = 66.0;
 const COUNT: [usize; 2] = [26, 70];
-/// Time for which trucks and buses need gentle curves, seconds; routes without tight curves for longer are rare.
+/// Time for which trucks and buses need gentle curves, seconds; routes without tight curves for longer are
+/// rare.
 const LONG_S: f64 = 22.0;
 /// Distance of cyclists from the right edge of a lane, meters.
 const EDGE_M: f64 = 0.65;
@@ -191,8 +193,8 @@ impl Start<'_> {
         }
     }
 
-    /// Adds the ego, and vehicles around it that make lane changes relevant: one ahead, two on the adjacent lane,
-    /// some oncoming. Vehicles in the ego's way are removed first.
+    /// Adds the ego, and vehicles around it that make lane changes relevant: one ahead, two on the adjacent
+    /// lane, some oncoming. Vehicles in the ego's way are removed first.
     pub(super) fn join(&mut self, world: &mut World<'_>, ego: Vehicle) {
         let lane = ego.route.lanes[0];
         let LaneKind::Road(road) = self.lanes.network.lanes[lane].kind else {

@@ -215,7 +215,8 @@ fn everybody_keeps_to_lanes_and_sidewalks() {
                         assert!(wheels.into_iter().all(on_road), "{seed} {:?} {p}", actor.body);
                     }
                 } else if on_road(p) {
-                    // The shoulders of walkers that pass each other may leave a crossing, their middles may not.
+                    // The shoulders of walkers that pass each other may leave a crossing, their middles may
+                    // not.
                     assert!(zebras.iter().any(|zebra| contains(*zebra, p)), "{seed} {} {p}", actor.id);
                     assert!(z < KERB_M, "{seed} {z}");
                 } else {

@@ -1,10 +1,10 @@
 //! Step-by-step simulation of the vehicles.
 //!
 //! # How it works
-//! Every vehicle follows a route and needs a grant to enter a junction: until a path through it is granted, the stop
-//! line ends its road. A path is granted if the light allows it, no vehicle is on a path that crosses it, no
-//! pedestrian is on its crossings, and there is room behind the junction. On lanes, and on paths with a common start,
-//! every vehicle follows the one in front.
+//! Every vehicle follows a route and needs a grant to enter a junction: until a path through it is granted,
+//! the stop line ends its road. A path is granted if the light allows it, no vehicle is on a path that
+//! crosses it, no pedestrian is on its crossings, and there is room behind the junction. On lanes, and on
+//! paths with a common start, every vehicle follows the one in front.
 
 use point_skeleton::idm::Leader;
 
@@ -74,7 +74,8 @@ impl<'a> World<'a> {
         (lane, (vehicle.along_m - vehicle.route.starts_m[k]) * self.scale(vehicle, k))
     }
 
-    /// Returns the ratio of a lane's length to the route's length on it; the route may run beside the lane's middle.
+    /// Returns the ratio of a lane's length to the route's length on it; the route may run beside the lane's
+    /// middle.
     fn scale(&self, vehicle: &Vehicle, k: usize) -> f64 {
         let own_m = vehicle.route.starts_m[k + 1] - vehicle.route.starts_m[k];
         self.lanes.length_m(vehicle.route.lanes[k]) / own_m.max(0.1)
@@ -183,7 +184,8 @@ impl<'a> World<'a> {
             JunctionKind::Free => true,
             JunctionKind::Stop => me.waits_since_s.is_some_and(|since| self.t_s - since > HALT_S),
             JunctionKind::Signals => {
-                // A vehicle that waits to turn left goes last, at yellow, when oncoming vehicles have to stop.
+                // A vehicle that waits to turn left goes last, at yellow, when oncoming vehicles have to
+                // stop.
                 let last = way.turn == Turn::Left && me.waits_since_s.is_some();
                 match self.lanes.network.signal_at(way.junction, way.road, self.t_s) {
                     Some(Signal::Yellow) => last,
@@ -210,8 +212,8 @@ impl<'a> World<'a> {
             .all(|(along_m, other)| *other == index || *along_m <= own_m || !waits(&self.vehicles[*other]))
     }
 
-    /// Returns the paths that a vehicle has been granted and not yet left: lane, path, position of its middle along
-    /// it, and distance of its rear beyond the end, meters.
+    /// Returns the paths that a vehicle has been granted and not yet left: lane, path, position of its middle
+    /// along it, and distance of its rear beyond the end, meters.
     fn held<'v>(
         &self,
         vehicle: &'v Vehicle,
@@ -242,7 +244,8 @@ impl<'a> World<'a> {
         self.vehicles.iter().enumerate().any(|(i, other)| i != index && crosses(other))
     }
 
-    /// Returns whether it fits on the lane after the junction, together with all vehicles that get there before it.
+    /// Returns whether it fits on the lane after the junction, together with all vehicles that get there
+    /// before it.
     fn has_room(&self, index: usize, way: JunctionPath, occupants: &Occupants) -> bool {
         let mut room_m = self.lanes.length_m(way.to);
         for (along_m, other) in occupants[way.to].iter().filter(|o| o.1 != index) {

@@ -134,7 +134,8 @@ fn denoisers_that_hang_or_die_are_noticed() {
     }
 }
 
-/// A surplus answer is rejected on arrival, or as the answer to the next call, because its number does not match.
+/// A surplus answer is rejected on arrival, or as the answer to the next call, because its number does not
+/// match.
 #[test]
 fn answers_that_were_not_asked_for_are_refused() {
     let folder = tempfile::tempdir().unwrap();
