@@ -2,9 +2,9 @@
 """Prints hashes of what `pskel` writes: ci/golden.py [PSKEL] [SHARED] > FILE.
 
 Two versions of the program that print the same lines render the same maps. Covers skeletons, maps of the three
-rasterizers as PNG and NPZ in full and reduced size, and rollouts of 20 steps; of a small synthetic log, and of the
-recordings in SHARED (PandaSet in the nuScenes and nuPlan layouts) if the folder exists; of an Argoverse 2 log
-without images, only its description. A line is
+rasterizers as PNG and NPZ in full and reduced size, exports in every layout, and rollouts of 20 steps with and without
+generated images; of a small synthetic log, and of the recordings in SHARED (PandaSet in the nuScenes and nuPlan
+layouts) if the folder exists; of an Argoverse 2 log without images, only its description. A line is
 `HASH COUNT WHAT`: the start of the SHA-256 of all files below a folder, and their number. Files with times, paths or
 versions are left out.
 """
@@ -18,6 +18,7 @@ from pathlib import Path
 
 SKIPPED = {"rollout.json", "index.json", "index.html", "metrics.json", ".pskel-files", "rollout.mp4", "skeleton.json"}
 RASTERIZERS = ["compute", "graphics", "cpu"]
+LAYOUTS = ["frames", "pas-cache", "opendwm-preview", "webdataset", "mcap", "world-scenario", "cosmos-video"]
 
 
 def show(folder, what):
@@ -74,6 +75,19 @@ def main():
                 run("simulate", log, "--skeleton", skeleton, "--out", out, "--steps", 20, "--ego", "straight",
                     "--actors", "idm", "--out-size", size)
                 show(out, f"{name} rollout of 20 steps")
+            if name != "nuplan":
+                for layout in LAYOUTS:
+                    out = scratch / f"{name}-{layout}"
+                    images = ["--images"] if layout not in ("world-scenario", "cosmos-video") else []
+                    run("export", log, "--layout", layout, "--skeletons", scratch / f"{name}-skeletons", "--out", out,
+                        "--frames", "0..3", "--shard-frames", 2, "--out-size", size, *images)
+                    show(out, f"{name} export {layout}")
+            if name == "town":
+                for generator in ("fill", "network"):
+                    out = scratch / f"generated-{generator}"
+                    run("simulate", log, "--skeleton", skeleton, "--out", out, "--steps", 20, "--ego", "straight",
+                        "--generator", generator)
+                    show(out, f"{name} rollout of 20 steps, images of {generator}")
 
 
 if __name__ == "__main__":
