@@ -2,7 +2,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use crate::Error;
-use crate::conditions::meta::{FrameMeta, PromptParts};
+use crate::conditions::write::meta::{FrameMeta, PromptParts};
 use crate::conditions::{CameraConditions, ConditionOptions, ConditionSet, MapFormat};
 use crate::error::FileError;
 use crate::scene::SceneState;

@@ -8,8 +8,9 @@ use std::sync::mpsc::{Receiver, SyncSender};
 use serde::Serialize;
 
 use crate::conditions::birdseye::{self, BirdseyeOptions};
-use crate::conditions::meta::{Index, IndexFrame, PromptParts};
-use crate::conditions::{DepthBins, MapFormat, sheet};
+use crate::conditions::view::sheet;
+use crate::conditions::write::meta::{Index, IndexFrame, PromptParts};
+use crate::conditions::{DepthBins, MapFormat};
 use crate::files::OutputFolder;
 use crate::pipeline::write_beside;
 use crate::scene::SceneSequence;

@@ -6,7 +6,7 @@ use std::path::Path;
 use serde::Serialize;
 use serde_json::Value;
 
-use super::meta::PromptParts;
+use super::write::meta::PromptParts;
 use crate::dataset::Recording;
 use crate::error::FileError;
 use crate::files::json;

@@ -10,44 +10,31 @@
 //! Writers: [`png`], [`exr`], [`npz`], [`safetensors`], the contact [`sheet`], the bird's-eye view
 //! ([`birdseye`]) and the metadata ([`meta`]). See `docs/CONDITIONS.md` for the map definitions.
 
-mod arrays;
 pub mod bins;
 pub mod birdseye;
-pub mod canvas;
 mod captions;
 pub mod distort;
 mod error;
-#[cfg(feature = "exr")]
-pub mod exr;
-mod format;
-mod hidden;
 pub mod layout;
 mod memory;
-pub mod meta;
-pub mod npz;
 mod options;
-mod pil;
-pub mod png;
 pub mod reduce;
 mod render;
-pub mod safetensors;
 mod set;
-pub mod sheet;
-pub mod template_preview;
 pub mod tensor;
-#[cfg(test)]
-mod test_set;
+pub mod view;
+pub mod write;
 
 pub use bins::{BinScale, DepthBins};
 pub use captions::{Captions, FrameCaptions};
 pub use error::ConditionError;
-pub use format::MapFormat;
 pub use layout::{LayoutLayers, LayoutStyle, LineWidth};
 pub use memory::check_memory;
 pub use options::{ColorFilter, ConditionOptions};
 pub use render::{StepInFlight, draw_layouts, render, render_views};
 pub use set::{CameraConditions, ConditionSet};
 pub use tensor::{DepthEmbedding, ModelTensor, TensorEncoder};
+pub use write::format::MapFormat;
 
 pub use crate::geometry::{ImageSize, ParseOptionError};
 pub use crate::raster::{MapKind, MapSet, Occlusion};

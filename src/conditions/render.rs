@@ -2,9 +2,9 @@ use std::time::Instant;
 
 use rayon::prelude::*;
 
-use super::hidden::without_hidden;
 use super::layout::{self, Layouts};
 use super::memory;
+use super::reduce::hidden::without_hidden;
 use super::{
     CameraConditions, ColorFilter, ConditionError, ConditionOptions, ConditionSet, ImageSize, reduce,
 };

@@ -6,7 +6,7 @@
 use std::collections::BTreeSet;
 use std::fmt;
 
-use crate::dataset::notes::{Notes, note};
+use super::recording::notes::{Notes, note};
 
 /// Maximum difference between a time and the one that it belongs to, microseconds.
 pub(super) const TOLERANCE_US: u64 = 1_000_000;

@@ -6,8 +6,8 @@ use std::marker::PhantomData;
 use serde::de::{Deserialize, DeserializeOwned, Deserializer, IgnoredAny, MapAccess, SeqAccess, Visitor};
 use serde_json::Value;
 
-use super::degenerate::{Unreadable, note_missing};
-use super::notes::Counts;
+use super::recording::degenerate::{Unreadable, note_missing};
+use super::recording::notes::Counts;
 use crate::files::json;
 
 /// Coordinate or length; NaN for anything but a number, so that only its record is skipped.

@@ -10,32 +10,23 @@
     allow(dead_code, unreachable_pub, unused_imports, reason = "with only some of the readers")
 )]
 
-#[cfg(feature = "av2")]
 pub mod av2;
 mod category;
 #[cfg(any(feature = "nuscenes", feature = "nuplan", feature = "av2"))]
 mod clock;
-#[cfg(any(feature = "nuscenes", feature = "nuplan", feature = "av2"))]
-mod degenerate;
-mod ego_jumps;
-mod ego_track;
-mod fingerprint;
-mod format;
-mod gaps;
 #[cfg(any(feature = "nuscenes", feature = "av2"))]
 mod lenient;
 #[cfg(any(feature = "nuscenes", feature = "nuplan", feature = "av2"))]
 mod limits;
 mod map;
 mod moved_ego;
-#[cfg(any(feature = "nuscenes", feature = "nuplan", feature = "av2"))]
-mod notes;
 #[cfg(feature = "nuplan")]
 pub mod nuplan;
 #[cfg(feature = "nuscenes")]
 pub mod nuscenes;
 mod picture;
 mod reading;
+#[cfg(feature = "av2")]
 mod recording;
 mod registry;
 mod summary;
@@ -44,18 +35,18 @@ mod sweeps;
 
 pub(crate) use category::CategoryKind;
 pub use category::{Class, layout_rgb};
-pub use ego_track::EgoTrack;
-pub(crate) use fingerprint::is_fingerprint;
-pub use format::{LogFormat, LogLocator, LogOpener, OpenReader};
-pub use gaps::{Gap, GapPlace, MissingData};
 pub use map::{Area, Lane, VectorMap};
 pub use moved_ego::MovedEgo;
 pub use picture::{picture_size, read_picture, undecodable};
 pub use reading::{ImageDistortion, ReadOptions, RingMeaning};
+pub use recording::ego_track::EgoTrack;
+pub(crate) use recording::fingerprint::is_fingerprint;
+pub use recording::gaps::{Gap, GapPlace, MissingData};
 pub use recording::{
     Frame, ImageRecord, LogOutline, MapFiles, NavigationRoute, Recording, RigCamera, SweepRecord, Track,
     TrackBox, TrafficLight,
 };
+pub use registry::format::{LogFormat, LogLocator, LogOpener, OpenReader};
 pub use registry::{expand, formats, open, register};
 pub use summary::{BoxCounts, CameraSummary, EgoPath, LogSummary, MapCounts};
 

@@ -5,9 +5,9 @@ use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 
 use super::SharedFolder;
-use super::manifest::FILES;
+use super::output::manifest::FILES;
+use super::output::work::OWN_NAME;
 use super::resolved::{is_inside, resolved};
-use super::work::OWN_NAME;
 use crate::error::FileError;
 
 /// Depth to which folders are searched for links: parts of data sets are commonly links to other disks.

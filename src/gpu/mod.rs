@@ -22,44 +22,31 @@
 
 mod buffer;
 mod commands;
-mod descriptor;
 mod device;
-mod draw;
-mod drivers;
 mod error;
-mod flight;
-mod fork;
-mod gate;
-mod identity;
 mod image;
 mod indices;
-mod instance;
 mod mapping;
-mod pass;
 mod pipeline;
-mod select;
-mod shader;
 #[cfg(test)]
 mod tests;
-mod timer;
-mod validation;
 
 pub use buffer::{Buffer, BufferDesc, Mapped, Memory};
+pub use commands::draw::Pass;
+pub(crate) use commands::flight::PendingSubmit;
+pub use commands::pass::{Area, Depth, DepthTest, RenderPass, RenderPassDesc, Target};
 pub use commands::{Commands, Recorder, Scope};
-pub use descriptor::{Bind, DescriptorSet};
+pub use device::select::DeviceDesc;
+pub use device::validation::Messages;
 pub use device::{Device, ObjectCounts};
-pub use draw::Pass;
 pub use error::GpuError;
-pub(crate) use flight::PendingSubmit;
 pub use image::{Image, ImageDesc};
 pub use indices::Indices;
 pub use mapping::MappedFile;
-pub use pass::{Area, Depth, DepthTest, RenderPass, RenderPassDesc, Target};
+pub use pipeline::descriptor::{Bind, DescriptorSet};
+pub use pipeline::shader::{Binding, BindingKind, Input, InputFormat, Shader, Stage, shaders};
 pub use pipeline::{
     ComputePipeline, GraphicsPipeline, GraphicsPipelineDesc, PipelineLayout, Topology, VertexBuffer,
 };
-pub use select::DeviceDesc;
-pub use shader::{Binding, BindingKind, Input, InputFormat, Shader, Stage, shaders};
-pub use validation::Messages;
 
-pub use shader::assert_layout;
+pub use pipeline::shader::assert_layout;

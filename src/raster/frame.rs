@@ -1,8 +1,7 @@
 use serde::Serialize;
 
-use super::{
-    Crop, Instance, MapKind, MapSet, Plane, RasterError, SplatJob, SplatMaps, SplatSchedule, reduce,
-};
+use super::maps::reduce;
+use super::{Crop, Instance, MapKind, MapSet, Plane, RasterError, SplatJob, SplatMaps, SplatSchedule};
 use crate::geometry::{ImageSize, View};
 
 /// Which points occlude an actor in the class and instance maps.

@@ -9,32 +9,24 @@
 
 mod augment;
 mod checksum;
-mod colorize;
 mod entry;
 mod export;
 mod from_points;
 mod ingest;
 mod manifest;
-mod occlusion;
 mod options;
-mod projector;
-mod split;
 mod store;
-mod sweep;
 mod templates;
 mod trajectory;
 
 pub use augment::{AugmentOptions, Augmentation, augment};
 pub use checksum::Checksum;
-pub(crate) use colorize::{Candidate, ColorView};
 pub use from_points::{AssetPoints, GlobalPoint};
+pub use ingest::projector::Projector;
+pub use ingest::split::{Part, SplitOptions, Splitter};
 pub use ingest::{BuildError, BuildInput, BuildRun, Progress, build, open_or_build, unfinished_frames};
 pub use manifest::{Asset, BuildReport, CategoryCounts, Chunk, Manifest, Source, Template};
-pub(crate) use occlusion::{OcclusionGrid, OcclusionMap};
 pub use options::{BuildOptions, Coloring};
-pub use projector::Projector;
-pub(crate) use projector::{Corners, Pixels, PointColumns};
-pub use split::{Part, SplitOptions, Splitter};
 pub use store::{GenerateTemplates, Skeleton, SkeletonWriter};
 pub use templates::{
     ClusterReport, Instances, LibraryManifest, LogSource, TemplateCloud, TemplateKind, TemplateLibrary,

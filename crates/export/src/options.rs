@@ -1,4 +1,4 @@
-use point_skeleton::conditions::meta::PromptParts;
+use point_skeleton::conditions::write::meta::PromptParts;
 use point_skeleton::conditions::{ConditionOptions, MapKind, MapSet};
 use point_skeleton::scene::{SelectionOptions, SubstituteOptions};
 use serde::Serialize;

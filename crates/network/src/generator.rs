@@ -4,8 +4,8 @@ use std::str::FromStr;
 use std::sync::Arc;
 
 use point_skeleton::conditions::FrameCaptions;
-use point_skeleton::conditions::meta::PromptParts;
 use point_skeleton::conditions::tensor::{LAYOUT_CHANNELS, POINT_CHANNELS};
+use point_skeleton::conditions::write::meta::PromptParts;
 use point_skeleton::dataset::Recording;
 use point_skeleton::geometry::ImageSize;
 use point_skeleton::memory::{MemoryError, Need, reserve};

@@ -4,7 +4,7 @@ use std::sync::{Mutex, PoisonError};
 use std::time::Instant;
 
 use clap::{Args, Parser};
-use point_skeleton::conditions::meta::PromptParts;
+use point_skeleton::conditions::write::meta::PromptParts;
 use point_skeleton::conditions::{Captions, MapFormat};
 use point_skeleton::dataset::{LogLocator, LogOpener, expand};
 use point_skeleton::error::with_causes;

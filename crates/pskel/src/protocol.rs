@@ -10,7 +10,7 @@ use std::time::Instant;
 use anyhow::Context;
 use clap::{Args, ValueEnum};
 use point_skeleton::Log;
-use point_skeleton::conditions::meta::PromptParts;
+use point_skeleton::conditions::write::meta::PromptParts;
 use point_skeleton::conditions::{Captions, ConditionOptions, MapFormat};
 use point_skeleton::dataset::{LogLocator, LogOpener, expand, nuscenes};
 use point_skeleton::error::{FileError, with_causes};

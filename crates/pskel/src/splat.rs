@@ -3,8 +3,9 @@ use std::time::Instant;
 
 use clap::Args;
 use point_skeleton::cloud;
+use point_skeleton::conditions::write::npz;
 use point_skeleton::conditions::{
-    ConditionOptions, ConditionSet, ImageSize, MapKind, MapSet, check_memory, npz, render_views,
+    ConditionOptions, ConditionSet, ImageSize, MapKind, MapSet, check_memory, render_views,
 };
 use point_skeleton::files::{Inputs, OutputFile};
 use point_skeleton::raster::{Instance, SplatSchedule};

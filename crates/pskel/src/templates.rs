@@ -6,7 +6,7 @@ use anyhow::Context;
 use clap::Args;
 use point_skeleton::Log;
 use point_skeleton::cloud::Point;
-use point_skeleton::conditions::template_preview;
+use point_skeleton::conditions::view::template_preview;
 use point_skeleton::dataset::{self, LogLocator, expand};
 use point_skeleton::files::Inputs;
 use point_skeleton::skeleton::{

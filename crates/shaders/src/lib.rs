@@ -19,7 +19,7 @@ use naga::valid::{Capabilities, ModuleInfo, ValidationFlags, Validator};
 use naga::{AddressSpace, Binding, Expression, Literal, Module, ScalarKind, ShaderStage, TypeInner};
 
 /// Compiles all shaders in `glsl/` of the package whose build script calls it, into `OUT_DIR/shaders.rs`. The
-/// package includes that file below a module with `point_skeleton::gpu::shader::*` in scope. Prints an error
+/// package includes that file below a module with `point_skeleton::gpu::pipeline::shader::*` in scope. Prints an error
 /// and returns a failure if a shader is invalid.
 pub fn build_script() -> ExitCode {
     match compile_all() {

@@ -14,9 +14,10 @@ use glam::{DMat2, DVec2, DVec3};
 use tiny_skia::{Color, FillRule, Paint, PathBuilder, Pixmap, Stroke, Transform};
 
 use self::clip::{clipped, clipped_line};
-use super::canvas::{Canvas, GLYPH};
-use super::sheet::CLASSES;
-use super::{ImageSize, png};
+use super::ImageSize;
+use super::view::canvas::{Canvas, GLYPH};
+use super::view::sheet::CLASSES;
+use super::write::png;
 use crate::dataset::{Area, VectorMap};
 use crate::error::FileError;
 use crate::geometry::View;

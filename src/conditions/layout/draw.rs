@@ -1,8 +1,8 @@
 use rayon::prelude::*;
 
 use super::super::ConditionOptions;
-use super::super::pil::PilBilinear;
 use super::{box_segments, map_segments};
+use crate::conditions::reduce::pil::PilBilinear;
 use crate::geometry::{ImageSize, View};
 use crate::raster::LineRows;
 use crate::scene::{ActorState, SceneMap};

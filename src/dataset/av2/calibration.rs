@@ -9,7 +9,7 @@ use std::path::Path;
 
 use super::feather::Table;
 use super::poses::{POSE, poses};
-use crate::dataset::notes::Notes;
+use crate::dataset::recording::notes::Notes;
 use crate::dataset::{DatasetError, Gap, ImageDistortion, RigCamera};
 use crate::error::FileError;
 use crate::files::first_twice;

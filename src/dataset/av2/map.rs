@@ -8,9 +8,9 @@ use std::path::{Path, PathBuf};
 use glam::DVec2;
 use rustc_hash::FxHashSet;
 
-use crate::dataset::degenerate::{self, Fault, note_fault};
 use crate::dataset::lenient::{ById, Coordinate, Id, Records, or_default};
-use crate::dataset::notes::count;
+use crate::dataset::recording::degenerate::{self, Fault, note_fault};
+use crate::dataset::recording::notes::count;
 use crate::dataset::{Area, DatasetError, Lane, VectorMap};
 use crate::error::FileError;
 use crate::files::json;

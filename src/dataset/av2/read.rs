@@ -6,7 +6,7 @@ use super::annotations::Annotations;
 use super::poses::{Trajectory, micros};
 use super::{calibration, sensors};
 use crate::dataset::clock::{Offset, Unit, note_interval};
-use crate::dataset::notes::{
+use crate::dataset::recording::notes::{
     FLAT_BOX, NO_ANNOTATIONS, Notes, UNKNOWN_POINTS, note, note_unknown_category, settle,
 };
 use crate::dataset::{BoxPoints, DatasetError, Frame, Gap, ReadOptions, Recording, TrackBox};

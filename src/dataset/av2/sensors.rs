@@ -6,7 +6,7 @@ use rustc_hash::FxHashMap;
 
 use super::poses::{Trajectory, micros, nearest};
 use crate::dataset::clock::{Offset, Unit};
-use crate::dataset::notes::{NO_IMAGE, NO_SWEEP, Notes, note};
+use crate::dataset::recording::notes::{NO_IMAGE, NO_SWEEP, Notes, note};
 use crate::dataset::{Frame, Gap, ImageRecord, RigCamera, SweepRecord};
 use crate::error::FileError;
 use crate::geometry::Pose;

@@ -5,7 +5,9 @@ use rustc_hash::{FxHashMap, FxHashSet};
 
 use super::database::{Database, Query, Row, hex};
 use super::frames::FrameRecord;
-use crate::dataset::notes::{DANGLING_BOX, FLAT_BOX, NO_ANNOTATIONS, Notes, note, note_unknown_category};
+use crate::dataset::recording::notes::{
+    DANGLING_BOX, FLAT_BOX, NO_ANNOTATIONS, Notes, note, note_unknown_category,
+};
 use crate::dataset::{CategoryKind, Class, DatasetError, Gap, Track, TrackBox};
 use crate::error::FileError;
 use crate::geometry::{Cuboid, Pose, PoseError};

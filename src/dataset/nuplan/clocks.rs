@@ -3,7 +3,7 @@
 use super::database::{Database, Query, hex};
 use crate::dataset::DatasetError;
 use crate::dataset::clock::{Offset, PoseTimes, Unit};
-use crate::dataset::notes::Notes;
+use crate::dataset::recording::notes::Notes;
 use crate::error::FileError;
 
 /// Counts the poses that are not from the time of their sweep or image. The tables link them, so they are

@@ -7,7 +7,7 @@ use super::database::{Database, Query, Row, hex};
 use super::pickle;
 use super::place::LogPaths;
 use crate::dataset::clock::Unit;
-use crate::dataset::notes::{DANGLING_DATA, NO_SWEEP, Notes};
+use crate::dataset::recording::notes::{DANGLING_DATA, NO_SWEEP, Notes};
 use crate::dataset::{DatasetError, Gap, SweepRecord};
 use crate::error::FileError;
 use crate::geometry::Pose;

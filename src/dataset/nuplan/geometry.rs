@@ -7,7 +7,7 @@ use glam::DVec2;
 
 use super::projection::Utm;
 use crate::dataset::Area;
-use crate::dataset::degenerate::{self, Fault};
+use crate::dataset::recording::degenerate::{self, Fault};
 
 /// Geometry of a feature.
 pub(super) enum Shape {

@@ -11,7 +11,7 @@ use super::pickle;
 use super::place::LogPaths;
 use crate::dataset::clock::{Offset, Unit};
 use crate::dataset::limits::MAX_CAMERAS;
-use crate::dataset::notes::{DANGLING_DATA, NO_IMAGE, Notes, note};
+use crate::dataset::recording::notes::{DANGLING_DATA, NO_IMAGE, Notes, note};
 use crate::dataset::{DatasetError, Gap, ImageDistortion, ImageRecord, RigCamera};
 use crate::error::FileError;
 use crate::files::first_twice;

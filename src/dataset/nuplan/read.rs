@@ -4,7 +4,7 @@ use super::database::{Database, Query, hex};
 use super::place::LogPaths;
 use super::{annotations, frames, images, routes, situation};
 use crate::dataset::clock::{Unit, note_interval};
-use crate::dataset::notes::{Notes, settle};
+use crate::dataset::recording::notes::{Notes, settle};
 use crate::dataset::{DatasetError, Frame, MapFiles, ReadOptions, Recording};
 use crate::error::FileError;
 

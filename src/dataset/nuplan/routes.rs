@@ -4,7 +4,7 @@ use rustc_hash::FxHashMap;
 
 use super::database::{Database, Query};
 use super::frames::{FrameRecord, POSE_COLUMNS, ego_pose};
-use crate::dataset::notes::{Notes, note};
+use crate::dataset::recording::notes::{Notes, note};
 use crate::dataset::{DatasetError, NavigationRoute};
 use crate::geometry::Pose;
 

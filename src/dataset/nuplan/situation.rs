@@ -7,7 +7,7 @@ use rustc_hash::{FxHashMap, FxHashSet};
 use super::annotations::frame_tokens;
 use super::database::{Database, Query, Row};
 use super::frames::FrameRecord;
-use crate::dataset::notes::{Notes, note};
+use crate::dataset::recording::notes::{Notes, note};
 use crate::dataset::{DatasetError, TrafficLight};
 
 /// Frames by token. Rows may also refer to frames of other scenes.

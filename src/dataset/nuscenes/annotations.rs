@@ -7,7 +7,7 @@ use super::chain::Chain;
 use super::frames::pose;
 use super::tables::{Annotation, Category, Instance, Scene, Table};
 use super::version::Version;
-use crate::dataset::notes::{
+use crate::dataset::recording::notes::{
     DANGLING_BOX, FLAT_BOX, NO_ANNOTATIONS, Notes, UNKNOWN_POINTS, note, note_unknown_category,
 };
 use crate::dataset::{CategoryKind, Class, DatasetError, Gap, Track, TrackBox};

@@ -5,7 +5,7 @@ use rustc_hash::{FxHashMap, FxHashSet};
 use super::tables::{Sample, Scene, Table};
 use crate::dataset::DatasetError;
 use crate::dataset::clock::Unit;
-use crate::dataset::notes::{Notes, note};
+use crate::dataset::recording::notes::{Notes, note};
 use crate::error::FileError;
 
 /// Samples of a scene in time order.

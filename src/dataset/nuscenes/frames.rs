@@ -15,7 +15,7 @@ use super::tables::{SampleData, Scene, Table};
 use super::version::Version;
 use crate::dataset::clock::{KeyTimes, PoseTimes, Unit};
 use crate::dataset::limits::MAX_CAMERAS;
-use crate::dataset::notes::{NO_IMAGE, NO_SWEEP, Notes, note};
+use crate::dataset::recording::notes::{NO_IMAGE, NO_SWEEP, Notes, note};
 use crate::dataset::{DatasetError, Gap, ImageDistortion, ImageRecord, SweepRecord};
 use crate::error::FileError;
 use crate::files::input::DataRoot;

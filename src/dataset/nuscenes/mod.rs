@@ -7,16 +7,12 @@
 //! <https://www.nuscenes.org/nuscenes#data-format>.
 
 mod annotations;
-mod arcline;
 mod chain;
 mod choose;
 mod frames;
-mod layers;
 mod lens;
 mod map;
-mod numbers;
 mod read;
-mod rows;
 mod sensors;
 mod sweep;
 mod tables;

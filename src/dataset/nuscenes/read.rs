@@ -5,7 +5,7 @@ use super::tables::{LogRecord, Table};
 use super::version::Version;
 use super::{annotations, choose, frames};
 use crate::dataset::clock::{Unit, note_interval};
-use crate::dataset::notes::{Notes, settle};
+use crate::dataset::recording::notes::{Notes, settle};
 use crate::dataset::{BoxPoints, DatasetError, Frame, ReadOptions, Recording, RigCamera};
 use crate::files::input::DataRoot;
 

@@ -3,10 +3,10 @@
 use serde::Deserialize;
 
 use super::chain::Chain;
-use super::numbers::{TimeUs, Truth};
+use super::tables::numbers::{TimeUs, Truth};
 use super::tables::{CalibratedSensor, EgoPose, Record, SampleData, Sensor, Table};
 use crate::dataset::clock::{KeyTimes, Offset, PoseTimes, TOLERANCE_US};
-use crate::dataset::notes::DANGLING_DATA;
+use crate::dataset::recording::notes::DANGLING_DATA;
 use crate::dataset::{DatasetError, Gap, ImageDistortion};
 use crate::error::FileError;
 

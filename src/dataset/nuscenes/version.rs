@@ -10,9 +10,9 @@ use serde::Deserialize;
 
 use super::chain::Chain;
 use super::choose::{choose_scene, version_folder};
-use super::rows::{RowFile, RowPlace, for_each_row};
+use super::tables::rows::{RowFile, RowPlace, for_each_row};
 use super::tables::{Annotation, EgoPose, Record, Sample, SampleData, Scene, Table};
-use crate::dataset::notes::Notes;
+use crate::dataset::recording::notes::Notes;
 use crate::dataset::{DatasetError, LogLocator, LogOutline};
 use crate::error::FileError;
 use crate::files::json;

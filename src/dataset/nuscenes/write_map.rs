@@ -9,7 +9,7 @@ use image::{ExtendedColorType, ImageEncoder};
 use serde_json::{Map, Value, json};
 use tiny_skia::{FillRule, Mask, PathBuilder, Transform};
 
-use super::arcline::straight_paths;
+use super::map::arcline::straight_paths;
 use crate::dataset::{Area, Lane, VectorMap};
 use crate::error::FileError;
 use crate::files::FileName;

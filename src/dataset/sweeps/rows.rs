@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use super::devices::{Evidence, MOST_DEVICES, evidence};
-use crate::dataset::notes::count;
+use crate::dataset::recording::notes::count;
 use crate::dataset::{RingMeaning, Sweep, SweepPoint};
 use crate::error::FileError;
 

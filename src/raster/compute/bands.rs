@@ -5,7 +5,7 @@ use bytemuck::{Pod, Zeroable};
 
 use crate::geometry::ImageSize;
 use crate::gpu::shaders;
-use crate::raster::reduce::{nearest_indices, taps};
+use crate::raster::maps::reduce::{nearest_indices, taps};
 use crate::raster::{FrameJob, RasterError};
 
 /// Minimum padding of keys around each strip, pixels: the radius that the resolve shaders gather.
@@ -45,7 +45,7 @@ pub(super) struct Reduction {
 }
 
 fn axis(from: u32, to: u32) -> Vec<ResolveTap> {
-    let tap = |(nearest, tap): (u32, crate::raster::reduce::Tap)| ResolveTap {
+    let tap = |(nearest, tap): (u32, crate::raster::maps::reduce::Tap)| ResolveTap {
         nearest,
         low: tap.at[0] as u32,
         weights: tap.weight,

@@ -7,7 +7,7 @@ use super::numbering::Numbering;
 use super::strips::{Sampling, Strip};
 use super::window::{Layer, Window};
 use crate::raster::layers::Layers;
-use crate::raster::reduce::Tap;
+use crate::raster::maps::reduce::Tap;
 use crate::raster::{FrameJob, MapKind, MapSet, rgb_of};
 
 /// Pixels of a row whose colors are loaded before they are used.

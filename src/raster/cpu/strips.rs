@@ -3,7 +3,7 @@
 use super::project::Projection;
 use super::window::Window;
 use crate::geometry::ImageSize;
-use crate::raster::reduce::{Tap, nearest_indices, taps};
+use crate::raster::maps::reduce::{Tap, nearest_indices, taps};
 use crate::raster::{FrameJob, RasterError};
 
 /// Source positions of the rows and columns of a view's maps.

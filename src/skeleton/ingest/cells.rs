@@ -3,9 +3,10 @@ use rayon::prelude::*;
 use rustc_hash::FxHashMap;
 use serde::{Deserialize, Serialize};
 
+use super::color::estimator::Candidate;
 use super::sums::{VoxelSum, Voxels, merge};
-use crate::skeleton::sweep::SweepCloud;
-use crate::skeleton::{BuildOptions, BuildReport, CHUNK_M, Candidate};
+use super::sweep::SweepCloud;
+use crate::skeleton::{BuildOptions, BuildReport, CHUNK_M};
 
 /// Unit in which points are collected.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]

@@ -14,10 +14,14 @@ mod checkpoint;
 mod color;
 mod error;
 mod finish;
+pub(super) mod occlusion;
+pub(super) mod projector;
 mod request;
 mod runs;
+pub(super) mod split;
 mod stream;
 mod sums;
+pub(super) mod sweep;
 
 pub use error::BuildError;
 pub use request::{BuildInput, BuildRun, Progress};

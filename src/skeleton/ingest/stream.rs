@@ -11,14 +11,15 @@ use glam::DAffine3;
 use rayon::prelude::*;
 
 use super::color;
+use super::color::estimator::ColorView;
 use super::error::BuildError;
+use super::occlusion::OcclusionGrid;
+use super::projector::{Pixels, PointColumns};
 use super::request::{BuildInput, Progress};
+use super::sweep::SweepCloud;
 use crate::dataset::{DatasetError, Frame, ImageRecord, LogReader, Recording, SweepRecord, TrackBox};
 use crate::geometry::View;
-use crate::skeleton::sweep::SweepCloud;
-use crate::skeleton::{
-    BuildOptions, ColorView, OcclusionGrid, Pixels, PointColumns, Projector, Splitter, Trajectories,
-};
+use crate::skeleton::{BuildOptions, Projector, Splitter, Trajectories};
 
 /// Number of frames whose sweeps are read at once.
 const READ_AHEAD: usize = 4;
@@ -251,7 +252,9 @@ impl<'a> Stream<'a> {
         let views: Vec<&ColorView> = views.iter().flat_map(|(_, views)| views).collect();
         for cloud in clouds {
             let t_us = cloud.t_us;
-            color::sweep(cloud, t_us, &views, self.options.coloring, |track, t_us| self.place(track, t_us));
+            color::views::sweep(cloud, t_us, &views, self.options.coloring, |track, t_us| {
+                self.place(track, t_us)
+            });
         }
     }
 }

@@ -19,7 +19,7 @@ use std::sync::Arc;
 use point_skeleton::Log;
 use point_skeleton::Maps;
 use point_skeleton::conditions::ImageSize;
-use point_skeleton::conditions::meta::FrameMeta;
+use point_skeleton::conditions::write::meta::FrameMeta;
 use point_skeleton::dataset::Recording;
 #[cfg(feature = "parquet")]
 use point_skeleton::scene::SceneMap;

@@ -8,7 +8,7 @@
 use std::borrow::Cow;
 use std::path::Path;
 
-use point_skeleton::conditions::safetensors;
+use point_skeleton::conditions::write::safetensors;
 use point_skeleton::error::FileError;
 use point_skeleton::{MapKind, Maps};
 use tar::{Builder, EntryType, Header};

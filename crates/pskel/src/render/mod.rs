@@ -9,7 +9,7 @@ use std::time::Instant;
 
 use anyhow::Context;
 use point_skeleton::cloud;
-use point_skeleton::conditions::meta::{IndexFrame, PromptParts};
+use point_skeleton::conditions::write::meta::{IndexFrame, PromptParts};
 use point_skeleton::files::OutputFolder;
 use point_skeleton::raster::Rasterizer;
 use point_skeleton::scene::{SceneSequence, SequenceError, frame_rate_hz};

@@ -6,7 +6,7 @@ use clap::Args;
 #[cfg(feature = "mcap")]
 use point_skeleton::Log;
 use point_skeleton::conditions::MapFormat;
-use point_skeleton::conditions::meta::PromptParts;
+use point_skeleton::conditions::write::meta::PromptParts;
 use point_skeleton::dataset::{LogLocator, LogOpener, MovedEgo};
 use point_skeleton::files::{Inputs as InputPaths, OutputFile};
 use point_skeleton::scene::{EgoOffset, SceneMap, frame_rate_hz};

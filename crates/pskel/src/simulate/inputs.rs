@@ -2,7 +2,7 @@ use std::sync::Arc;
 
 use point_skeleton::Log;
 use point_skeleton::conditions::MapSet;
-use point_skeleton::conditions::meta::PromptParts;
+use point_skeleton::conditions::write::meta::PromptParts;
 use point_skeleton::scene::SceneMap;
 use point_skeleton::skeleton::Skeleton;
 

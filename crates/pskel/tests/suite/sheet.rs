@@ -2,7 +2,8 @@
 
 use glam::{DMat3, DQuat, DVec3, Vec3};
 use point_skeleton::cloud::Point;
-use point_skeleton::conditions::{BinScale, ConditionOptions, ConditionSet, DepthBins, render, sheet};
+use point_skeleton::conditions::view::sheet;
+use point_skeleton::conditions::{BinScale, ConditionOptions, ConditionSet, DepthBins, render};
 use point_skeleton::dataset::Class;
 use point_skeleton::geometry::{Camera, Cuboid, Pose, View};
 use point_skeleton::raster::Instance;

@@ -6,7 +6,7 @@ use std::path::Path;
 
 use image::imageops::{self, FilterType};
 use image::{Rgb, RgbImage};
-use point_skeleton::conditions::canvas::Canvas;
+use point_skeleton::conditions::view::canvas::Canvas;
 use point_skeleton::error::FileError;
 use point_skeleton::files::input::{IMAGE_BYTES, read_file};
 use point_skeleton::geometry::ImageSize;

@@ -3,7 +3,7 @@ use std::path::{Path, PathBuf};
 
 use glam::DVec2;
 use point_skeleton::cloud::cameras::rows;
-use point_skeleton::conditions::meta::{IndexActor, IndexFrame, Matrix};
+use point_skeleton::conditions::write::meta::{IndexActor, IndexFrame, Matrix};
 use point_skeleton::dataset::Recording;
 use point_skeleton::error::FileError;
 use point_skeleton::files::FileName;

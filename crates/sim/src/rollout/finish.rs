@@ -1,6 +1,6 @@
 use std::path::Path;
 
-use point_skeleton::conditions::meta::Index;
+use point_skeleton::conditions::write::meta::Index;
 use point_skeleton::error::{FileError, with_causes};
 use point_skeleton::files::input::is_there;
 use point_skeleton::files::json;

@@ -1,6 +1,6 @@
 use std::path::Path;
 
-use point_skeleton::conditions::meta::PromptParts;
+use point_skeleton::conditions::write::meta::PromptParts;
 use point_skeleton::conditions::{ConditionOptions, MapFormat};
 #[cfg(feature = "mcap")]
 use point_skeleton::files::OutputFile;

@@ -3,8 +3,9 @@ use std::path::Path;
 use std::time::Instant;
 
 use point_skeleton::conditions::birdseye::{self, BirdseyeOptions, Trace};
-use point_skeleton::conditions::meta::{FrameMeta, PromptParts};
-use point_skeleton::conditions::{ConditionError, ConditionSet, sheet};
+use point_skeleton::conditions::view::sheet;
+use point_skeleton::conditions::write::meta::{FrameMeta, PromptParts};
+use point_skeleton::conditions::{ConditionError, ConditionSet};
 use point_skeleton::error::FileError;
 use point_skeleton::files::{OutputFolder, write_json};
 use point_skeleton::scene::SceneState;

@@ -4,7 +4,7 @@ use std::fmt::Write;
 use std::hash::{Hash, Hasher};
 use std::path::Path;
 
-use point_skeleton::conditions::meta::PromptParts;
+use point_skeleton::conditions::write::meta::PromptParts;
 use point_skeleton::dataset::Recording;
 use point_skeleton::error::FileError;
 use point_skeleton::skeleton::Skeleton;

@@ -2,7 +2,7 @@ use glam::{DMat3, DVec3};
 
 use std::path::Path;
 
-use point_skeleton::conditions::meta::PromptParts;
+use point_skeleton::conditions::write::meta::PromptParts;
 use point_skeleton::dataset::{Frame, Recording, RigCamera};
 use point_skeleton::error::{FileError, with_causes};
 use point_skeleton::geometry::{Camera, Pose};

@@ -1,7 +1,8 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use point_skeleton::conditions::{CameraConditions, ConditionError, ConditionSet, DepthBins, exr, png};
+use point_skeleton::conditions::write::{exr, png};
+use point_skeleton::conditions::{CameraConditions, ConditionError, ConditionSet, DepthBins};
 use point_skeleton::dataset::nuscenes::LogWriter;
 use point_skeleton::dataset::{DatasetError, LogReader};
 use point_skeleton::error::FileError;

@@ -1,0 +1,385 @@
+//! Contact sheet of a step: every map of every camera in one image.
+//!
+//! # How it works
+//! Each map is a block with a title and a legend. In it, the cameras of a known surround rig are arranged by
+//! direction (front left, front, front right above back left, back, back right); other cameras are in rows of
+//! three. Numbers are shown as colors (`tile_colors`). Tiles are scaled down to at most [`TILE_WIDTH_PX`].
+
+use std::path::Path;
+
+use super::canvas::{Canvas, GLYPH, text_width};
+use crate::conditions::layout::map_rgb;
+use crate::conditions::write::png;
+use crate::conditions::{CameraConditions, ConditionSet, DepthBins, ImageSize, MapKind, reduce};
+use crate::error::FileError;
+use crate::scene::MapLayer;
+
+/// Maximum tile width, pixels.
+pub const TILE_WIDTH_PX: u32 = 448;
+
+/// Color between the tiles.
+pub const BACKGROUND: [u8; 3] = [17, 19, 24];
+const EMPTY: [u8; 3] = [8, 9, 11];
+const TEXT: [u8; 3] = [232, 234, 237];
+const DIM_TEXT: [u8; 3] = [148, 153, 163];
+/// Margin around the sheet and between blocks, pixels.
+const MARGIN: u32 = 16;
+/// Gap between tiles, pixels.
+const GAP: u32 = 4;
+/// Height of a block's title, pixels.
+const TITLE: u32 = 28;
+/// Width of the depth legend, pixels.
+const BAR: u32 = 160;
+
+/// Camera layouts of known rigs: two rows each, forward and backward, from left to right.
+const RIGS: [[&[&str]; 2]; 4] = [
+    [&["CAM_FRONT_LEFT", "CAM_FRONT", "CAM_FRONT_RIGHT"], &["CAM_BACK_LEFT", "CAM_BACK", "CAM_BACK_RIGHT"]],
+    [&["CAM_L0", "CAM_F0", "CAM_R0"], &["CAM_L1", "CAM_B0", "CAM_R1"]],
+    [&["CAM_L1", "CAM_L0", "CAM_F0", "CAM_R0", "CAM_R1"], &["CAM_L2", "CAM_B0", "CAM_R2"]],
+    [
+        &["ring_front_left", "ring_front_center", "ring_front_right"],
+        &["ring_side_left", "ring_rear_left", "ring_rear_right", "ring_side_right"],
+    ],
+];
+
+/// Colors and names of the classes, starting at class 1.
+pub(in super::super) const CLASSES: [([u8; 3], &str); 4] = [
+    ([79, 148, 255], "vehicle"),
+    ([255, 92, 92], "pedestrian"),
+    ([92, 214, 128], "cycle"),
+    ([255, 201, 77], "object"),
+];
+
+/// Names of the HD map layers.
+const LAYERS: [(MapLayer, &str); 3] =
+    [(MapLayer::Lane, "lane"), (MapLayer::DrivableArea, "drivable area"), (MapLayer::Crossing, "crossing")];
+
+/// Writes the sheet as PNG, with `caption` at its top.
+///
+/// # Errors
+/// Fails if the file cannot be written.
+pub fn write(path: &Path, set: &ConditionSet, bins: &DepthBins, caption: &str) -> Result<(), FileError> {
+    let (size, pixels) = draw(set, bins, caption);
+    png::write_rgb(path, &pixels, size)
+}
+
+/// Draws the sheet and returns its size and RGB pixels.
+pub fn draw(set: &ConditionSet, bins: &DepthBins, caption: &str) -> (ImageSize, Vec<[u8; 3]>) {
+    let grid = Grid::of(set, TILE_WIDTH_PX);
+    let kinds = kinds(set);
+    let block = TITLE + grid.height();
+    let size = ImageSize {
+        height: MARGIN + TITLE + kinds.len() as u32 * (block + MARGIN),
+        width: 2 * MARGIN + grid.width(),
+    };
+    let mut canvas = Canvas::new(size, BACKGROUND);
+    canvas.text([MARGIN, MARGIN], 2, TEXT, caption);
+    for (place, &kind) in (0..).zip(&kinds) {
+        let top = MARGIN + TITLE + place * (block + MARGIN);
+        canvas.text([MARGIN, top + 6], 2, TEXT, kind.name());
+        legend(&mut canvas, MARGIN + grid.width(), top + 6, kind, bins);
+        for (camera, corner) in set.cameras.iter().zip(&grid.corners) {
+            let at = [MARGIN + corner[0], top + TITLE + corner[1]];
+            draw_tile(&mut canvas, at, &grid, camera, kind, bins);
+        }
+    }
+    (canvas.size, canvas.pixels)
+}
+
+/// Draws one map of all cameras, with tiles at most `tile_width` pixels wide; returns its size and RGB
+/// pixels.
+pub fn draw_map(
+    set: &ConditionSet,
+    kind: MapKind,
+    tile_width: u32,
+    bins: &DepthBins,
+) -> (ImageSize, Vec<[u8; 3]>) {
+    let grid = Grid::of(set, tile_width);
+    let size = ImageSize { height: grid.height(), width: grid.width() };
+    let mut canvas = Canvas::new(size, BACKGROUND);
+    for (camera, corner) in set.cameras.iter().zip(&grid.corners) {
+        draw_tile(&mut canvas, *corner, &grid, camera, kind, bins);
+    }
+    (size, canvas.pixels)
+}
+
+/// Returns the size of the image that [`draw_map`] draws and each camera's rectangle in it: left, top, width,
+/// height, pixels.
+pub fn places(set: &ConditionSet, tile_width: u32) -> (ImageSize, Vec<[u32; 4]>) {
+    let grid = Grid::of(set, tile_width);
+    let size = ImageSize { height: grid.height(), width: grid.width() };
+    let place = |(camera, corner): (&CameraConditions, &[u32; 2])| {
+        let (size, [left, top]) = (fitted(camera.size(), grid.tile.width), grid.centered(*corner, camera));
+        [left, top, size.width, size.height]
+    };
+    (size, set.cameras.iter().zip(&grid.corners).map(place).collect())
+}
+
+/// Returns the maps of a set that can be displayed.
+pub fn kinds(set: &ConditionSet) -> Vec<MapKind> {
+    MapKind::ALL.into_iter().filter(|kind| shown(set, *kind)).collect()
+}
+
+/// Point numbers are not displayed: they carry no visual information.
+fn shown(set: &ConditionSet, kind: MapKind) -> bool {
+    set.cameras.iter().any(|camera| match kind {
+        MapKind::Color => camera.color.is_some(),
+        MapKind::Depth => camera.depth_m.is_some(),
+        MapKind::Class => camera.class.is_some(),
+        MapKind::Instance => camera.instance.is_some(),
+        MapKind::Boxes => camera.boxes.is_some(),
+        MapKind::Map => camera.map.is_some(),
+        MapKind::Point => false,
+        MapKind::Tensor => camera.tensor.is_some(),
+    })
+}
+
+/// Arrangement of tiles within a block.
+struct Grid {
+    tile: ImageSize,
+    /// Upper left corner of each camera's tile, x and y.
+    corners: Vec<[u32; 2]>,
+    rows: u32,
+    columns: u32,
+}
+
+impl Grid {
+    fn of(set: &ConditionSet, tile_width: u32) -> Self {
+        let widest = set.cameras.iter().map(|c| c.width).max().unwrap_or(1);
+        let width = widest.min(tile_width).max(1);
+        let height = set.cameras.iter().map(|c| fitted(c.size(), width).height).max().unwrap_or(1);
+        let (tile, count) = (ImageSize { height, width }, set.cameras.len());
+        let names: Vec<&str> = set.cameras.iter().map(|c| c.name.as_str()).collect();
+        let places = RIGS.iter().find_map(|rig| places_in_rig(rig, &names));
+        let places = places.unwrap_or_else(|| (0..count as u32).map(|i| [i % 3, i / 3]).collect());
+        let end = |axis: usize| places.iter().map(|place| place[axis] + 1).max().unwrap_or(0);
+        let (columns, rows) = (end(0), end(1));
+        let corner = |[column, row]: [u32; 2]| [column * (tile.width + GAP), row * (tile.height + GAP)];
+        Self { tile, corners: places.into_iter().map(corner).collect(), rows, columns }
+    }
+
+    /// Returns the upper left corner of a camera's image, centered in its tile.
+    fn centered(&self, [left, top]: [u32; 2], camera: &CameraConditions) -> [u32; 2] {
+        let size = fitted(camera.size(), self.tile.width);
+        [left + (self.tile.width - size.width) / 2, top + (self.tile.height - size.height) / 2]
+    }
+
+    fn width(&self) -> u32 {
+        (self.columns * (self.tile.width + GAP)).saturating_sub(GAP)
+    }
+
+    fn height(&self) -> u32 {
+        (self.rows * (self.tile.height + GAP)).saturating_sub(GAP)
+    }
+}
+
+/// Returns column and row of each camera; `None` unless the names are exactly the cameras of the rig.
+fn places_in_rig(rig: &[&[&str]; 2], names: &[&str]) -> Option<Vec<[u32; 2]>> {
+    let place = |name: &&str| {
+        let in_row = |row: usize| Some([rig[row].iter().position(|n| n == name)? as u32, row as u32]);
+        in_row(0).or_else(|| in_row(1))
+    };
+    let whole = names.len() == rig[0].len() + rig[1].len();
+    names.iter().map(place).collect::<Option<Vec<_>>>().filter(|_| whole)
+}
+
+/// Returns the size of an image scaled down to a width; smaller images keep their size.
+fn fitted(size: ImageSize, width: u32) -> ImageSize {
+    if size.width <= width {
+        return size;
+    }
+    let height = (f64::from(size.height) * f64::from(width) / f64::from(size.width)).round() as u32;
+    ImageSize { height: height.max(1), width }
+}
+
+fn draw_tile(
+    canvas: &mut Canvas,
+    at: [u32; 2],
+    grid: &Grid,
+    camera: &CameraConditions,
+    kind: MapKind,
+    bins: &DepthBins,
+) {
+    canvas.map(at, grid.tile, |_, _| EMPTY);
+    let (from, to) = (camera.size(), fitted(camera.size(), grid.tile.width));
+    let picture = match kind {
+        MapKind::Color | MapKind::Boxes | MapKind::Map => {
+            camera.rgb(kind).map(|map| reduce::pil_bilinear(map, from, to))
+        }
+        MapKind::Tensor => camera.tensor.as_ref().map(|t| reduce::pil_bilinear(&t.preview(), from, to)),
+        _ => tile_colors(camera, kind, to, bins),
+    };
+    if let Some(picture) = picture {
+        canvas.blit(grid.centered(at, camera), to, &picture);
+    }
+    let label = ImageSize { height: GLYPH + 6, width: text_width(&camera.name, 1) + 8 };
+    if label.width < grid.tile.width && label.height < grid.tile.height {
+        canvas.map(at, label, |under, _| under.map(|level| (u16::from(level) * 3 / 10) as u8));
+        canvas.text([at[0] + 4, at[1] + 3], 1, TEXT, &camera.name);
+    }
+}
+
+/// Colors a map of numbers, reduced by nearest: depth with TURBO; class and instance with one color per
+/// number over the depth in dark gray.
+fn tile_colors(
+    camera: &CameraConditions,
+    kind: MapKind,
+    to: ImageSize,
+    bins: &DepthBins,
+) -> Option<Vec<[u8; 3]>> {
+    let from = camera.size();
+    let by_bin = |colors: &[[u8; 3]]| {
+        let depth_m = reduce::nearest(camera.depth_m.as_ref()?, from, to);
+        let bins: Vec<u16> = depth_m.into_iter().map(|depth_m| bins.bin(depth_m)).collect();
+        Some(bins.into_iter().map(|bin| colors[usize::from(bin)]).collect::<Vec<_>>())
+    };
+    if kind == MapKind::Depth {
+        return by_bin(&bins.colors());
+    }
+    let mut picture = by_bin(&grays(bins)).unwrap_or_else(|| vec![EMPTY; to.pixels()]);
+    if kind == MapKind::Class {
+        let classes = reduce::nearest(camera.class.as_ref()?, from, to);
+        let color = |class: u8| {
+            let known = CLASSES.get(usize::from(class) - 1);
+            known.map_or_else(|| number_color(class.into()), |(rgb, _)| *rgb)
+        };
+        paint(&mut picture, &classes, color);
+    } else {
+        paint(&mut picture, &reduce::nearest(camera.instance.as_ref()?, from, to), number_color);
+    }
+    Some(picture)
+}
+
+/// Returns the dark gray of every depth bin, lighter where it is nearer.
+fn grays(bins: &DepthBins) -> Vec<[u8; 3]> {
+    let gray = |bin: u16| {
+        let near = 1.0 - f32::from(bin) / f32::from(bins.count);
+        [26.0, 28.0, 33.0].map(|base: f32| (base + 52.0 * near * near) as u8)
+    };
+    std::iter::once(EMPTY).chain((1..=bins.count).map(gray)).collect()
+}
+
+/// Colors the pixels whose number is not 0.
+fn paint<N: Copy + Default + PartialEq>(
+    picture: &mut [[u8; 3]],
+    numbers: &[N],
+    color: impl Fn(N) -> [u8; 3],
+) {
+    let (mut last, mut rgb) = (N::default(), EMPTY);
+    for (pixel, &number) in picture.iter_mut().zip(numbers) {
+        if number != N::default() {
+            if number != last {
+                (last, rgb) = (number, color(number));
+            }
+            *pixel = rgb;
+        }
+    }
+}
+
+/// Returns a bright color for a number. Hues are a golden angle apart, so consecutive numbers differ clearly.
+fn number_color(number: u32) -> [u8; 3] {
+    let hue = (f64::from(number) * 0.618_033_988_749_895).fract() * 6.0;
+    let value = if number.is_multiple_of(2) { 0.82 } else { 1.0 };
+    // Distance of the hue from the channel's own hue, as in the usual HSV formula.
+    let channel = |offset: f64| {
+        let distance = (hue + offset) % 6.0;
+        let level = distance.min(4.0 - distance).clamp(0.0, 1.0);
+        (255.0 * value * (1.0 - 0.68 * level)).round() as u8
+    };
+    [channel(5.0), channel(3.0), channel(1.0)]
+}
+
+/// Draws the legend of a block, ending at `right`.
+fn legend(canvas: &mut Canvas, right: u32, top: u32, kind: MapKind, bins: &DepthBins) {
+    let text_top = top + 4;
+    match kind {
+        MapKind::Depth => {
+            let far = format!("{} m", bins.far_m);
+            let left = right.saturating_sub(BAR + text_width(&far, 1) + text_width("0 m", 1) + 16);
+            let bar = left + canvas.text([left, text_top], 1, DIM_TEXT, "0 m") + 8;
+            let colors = bins.colors();
+            let color = |x: u32| {
+                let depth_m = (x as f32 + 0.5) / BAR as f32 * bins.far_m;
+                colors[usize::from(bins.bin(depth_m))]
+            };
+            canvas.map([bar, top + 2], ImageSize { height: 12, width: BAR }, |_, [x, _]| color(x));
+            canvas.text([bar + BAR + 8, text_top], 1, DIM_TEXT, &far);
+        }
+        MapKind::Class => named_colors(canvas, right, top, &CLASSES),
+        MapKind::Map => named_colors(canvas, right, top, &LAYERS.map(|(layer, name)| (map_rgb(layer), name))),
+        _ => {}
+    }
+}
+
+/// Draws color swatches with names in a row that ends at `right`.
+fn named_colors(canvas: &mut Canvas, right: u32, top: u32, colors: &[([u8; 3], &str)]) {
+    let width = |name: &str| 14 + text_width(name, 1) + 14;
+    let total: u32 = colors.iter().map(|(_, name)| width(name)).sum();
+    let mut left = right.saturating_sub(total.saturating_sub(14));
+    for (rgb, name) in colors {
+        canvas.map([left, top + 3], ImageSize { height: 10, width: 10 }, |_, _| *rgb);
+        canvas.text([left + 14, top + 4], 1, DIM_TEXT, name);
+        left += width(name);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::conditions::write::test_set::test_set;
+
+    fn named(names: &[&str]) -> ConditionSet {
+        let camera = |name: &&str| CameraConditions {
+            name: name.parse().unwrap(),
+            ..test_set().cameras.swap_remove(0)
+        };
+        ConditionSet { cameras: names.iter().map(camera).collect() }
+    }
+
+    #[test]
+    fn surround_cameras_stand_in_their_places() {
+        let order =
+            ["CAM_FRONT", "CAM_FRONT_RIGHT", "CAM_BACK_RIGHT", "CAM_BACK", "CAM_BACK_LEFT", "CAM_FRONT_LEFT"];
+        let [column, row] = [6 + GAP, 4 + GAP];
+        let expected = [[column, 0], [2 * column, 0], [2 * column, row], [column, row], [0, row], [0, 0]];
+        assert_eq!(Grid::of(&named(&order), 448).corners, expected);
+        let ring = ["CAM_F0", "CAM_R0", "CAM_R1", "CAM_R2", "CAM_B0", "CAM_L2", "CAM_L1", "CAM_L0"];
+        let grid = Grid::of(&named(&ring), 448);
+        assert_eq!((grid.columns, grid.rows), (5, 2));
+        assert_eq!((grid.corners[0], grid.corners[4]), ([2 * column, 0], [column, row]));
+        assert_eq!((grid.corners[7], grid.corners[2]), ([column, 0], [4 * column, 0]));
+        // Cameras of an unknown rig are in list order.
+        assert_eq!(Grid::of(&named(&["a", "b", "c", "d"]), 448).corners[3], [0, row]);
+        assert_eq!(Grid::of(&named(&["CAM_BACK"]), 448).corners, [[0, 0]]);
+    }
+
+    #[test]
+    fn a_sheet_holds_every_map() {
+        let set = test_set();
+        let (size, pixels) = draw(&set, &DepthBins::default(), "frame");
+        assert_eq!(size.height, MARGIN + TITLE + 6 * (TITLE + 4 + MARGIN));
+        assert_eq!(pixels.len(), size.pixels());
+        let first_tile = (MARGIN + TITLE + TITLE) as usize * size.width as usize + MARGIN as usize;
+        assert_eq!(&pixels[first_tile..first_tile + 6], &set.cameras[0].color.as_ref().unwrap()[..6]);
+        assert!(!draw(&ConditionSet::default(), &DepthBins::default(), "").1.is_empty());
+        // A single map is drawn as in the sheet, and cameras are at the reported positions.
+        let (size, color) = draw_map(&set, MapKind::Color, TILE_WIDTH_PX, &DepthBins::default());
+        let (same, places) = places(&set, TILE_WIDTH_PX);
+        assert_eq!(same, size);
+        for (camera, [left, top, width, height]) in set.cameras.iter().zip(places) {
+            assert_eq!((width, height), (camera.width, camera.height));
+            for (y, row) in camera.color.as_ref().unwrap().chunks(width as usize).enumerate() {
+                let at = (top as usize + y) * size.width as usize + left as usize;
+                assert_eq!(&color[at..at + row.len()], row, "{}", camera.name);
+            }
+        }
+        assert_eq!(kinds(&set).len(), 6);
+    }
+
+    #[test]
+    fn colors_of_numbers_differ() {
+        let colors: std::collections::BTreeSet<[u8; 3]> = (1..200).map(number_color).collect();
+        assert!(colors.len() > 190);
+        assert!(colors.iter().all(|rgb| rgb.iter().max() > Some(&180)));
+    }
+}

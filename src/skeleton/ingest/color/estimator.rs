@@ -1,0 +1,305 @@
+//! Coloring: one color per point, on which the images that see it agree.
+//!
+//! # How it works
+//! Every image whose frame lies within a window around a point's own frame is a candidate. The point is
+//! projected into it at the image's own time (a point of an actor moves with its box) and tested against the
+//! image's [`OcclusionMap`]. Each view that passes yields a [`ColorSample`]: the mean color over the pixels
+//! that the point covers when splatted, and a weight that decreases with distance. The color is a robust
+//! mean: a mean in which views count the less, the more they differ from it. The other views thus outvote an
+//! error in one image: a wrong occlusion, a passing car, or the sky behind a twig.
+
+use glam::{DVec2, DVec3};
+use image::RgbImage;
+
+use crate::geometry::View;
+use crate::skeleton::ingest::occlusion::OcclusionMap;
+
+/// Point to be colored.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Candidate {
+    /// Position, meters: global for the background, box frame for actors.
+    pub position: DVec3,
+    /// Color, once assigned.
+    pub rgb: Option<[u8; 3]>,
+}
+
+/// Image with the data required to color points from it.
+pub(crate) struct ColorView {
+    /// Image pixels.
+    pub image: RgbImage,
+    /// Camera and pose of the image.
+    pub view: View,
+    /// Time of the image, absolute microseconds.
+    pub t_us: i64,
+    /// Occlusion in the image; `None` disables the test.
+    pub occlusion: Option<OcclusionMap>,
+}
+
+/// Color of a point in one view.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct ColorSample {
+    /// Mean color.
+    pub rgb: [u8; 3],
+    /// Weight of the view: larger for nearer views.
+    pub weight: f32,
+}
+
+impl ColorSample {
+    /// Value of unused samples.
+    pub(crate) const NONE: Self = Self { rgb: [0; 3], weight: 0.0 };
+}
+
+/// Depths (meters) and radii of the splats in the default schedule, for an image of [`SPLAT_WIDTH`] pixels.
+const SPLATS: [(f64, f64); 2] = [(15.0, 2.0), (35.0, 1.0)];
+const SPLAT_WIDTH: f64 = 1600.0;
+
+/// Difference from the mean color, summed over channels, at which a look counts half.
+const TOLERANCE: f32 = 100.0;
+/// Number of times that looks are weighted anew.
+const ROUNDS: usize = 6;
+
+impl ColorView {
+    /// Returns the radii, in pixels of the image, of points in the depth ranges of [`SPLATS`] and beyond
+    /// them.
+    pub(crate) fn radii(&self) -> [usize; 3] {
+        let scale = f64::from(self.image.width()) / SPLAT_WIDTH;
+        [SPLATS[0].1, SPLATS[1].1, 0.0].map(|radius| ((radius + 0.5) * scale).round() as usize)
+    }
+
+    /// Returns whether a point at a pixel and a camera depth in meters is occluded.
+    #[inline(always)] // into loops that are compiled for wide vectors
+    pub(crate) fn hides(&self, pixel: DVec2, depth_m: f64) -> bool {
+        self.occlusion.as_ref().is_some_and(|map| map.hides(pixel, depth_m))
+    }
+
+    /// Returns this view's color of a point at a pixel and a camera depth in meters.
+    #[inline(always)]
+    pub(crate) fn look(&self, radii: [usize; 3], pixel: DVec2, depth_m: f64) -> ColorSample {
+        let range = SPLATS.iter().position(|(z, _)| depth_m <= *z).unwrap_or(SPLATS.len());
+        ColorSample { rgb: self.mean_color(pixel, radii[range]), weight: (1.0 / depth_m) as f32 }
+    }
+
+    /// Returns the mean color over the pixels up to a radius around a pixel.
+    #[inline(always)]
+    fn mean_color(&self, pixel: DVec2, radius: usize) -> [u8; 3] {
+        let [width, height] = [self.image.width(), self.image.height()].map(|side| side as usize);
+        let (x, y) = (pixel.x as usize, pixel.y as usize);
+        let is_inside = x >= radius && y >= radius && x + radius < width && y + radius < height;
+        let levels = self.image.as_raw();
+        let first = || ((y - radius) * width + x - radius) * 3;
+        let whole = match radius {
+            1 if is_inside => square_mean::<3, 16>(levels, first(), width * 3),
+            2 if is_inside => square_mean::<5, 16>(levels, first(), width * 3),
+            3 if is_inside => square_mean::<7, 32>(levels, first(), width * 3),
+            _ => None,
+        };
+        whole.unwrap_or_else(|| clipped_mean(levels, [width, height], [x, y], radius))
+    }
+}
+
+/// Returns the mean color over a square of `SIDE` pixels, from the index of its first level and the number of
+/// levels per row. Reads `LANES` levels of each row, of which it uses the first `3 SIDE`; `None` where there
+/// are fewer.
+#[inline(always)]
+fn square_mean<const SIDE: usize, const LANES: usize>(
+    levels: &[u8],
+    first: usize,
+    row: usize,
+) -> Option<[u8; 3]> {
+    let mut sums = [0_u16; LANES];
+    for line in 0..SIDE {
+        let line: &[u8; LANES] = levels.get(first + line * row..)?.first_chunk()?;
+        sums.iter_mut().zip(line).for_each(|(sum, level)| *sum += u16::from(*level));
+    }
+    let mut sum = [0_u32; 3];
+    sums.iter().take(3 * SIDE).enumerate().for_each(|(i, level)| sum[i % 3] += u32::from(*level));
+    let count = (SIDE * SIDE) as u32;
+    Some(sum.map(|sum| ((sum + count / 2) / count) as u8))
+}
+
+/// Returns the mean color over the pixels up to a radius around a pixel, within the image.
+fn clipped_mean(levels: &[u8], [width, height]: [usize; 2], [x, y]: [usize; 2], radius: usize) -> [u8; 3] {
+    let range = |center: usize, side: usize| center.saturating_sub(radius)..(center + radius + 1).min(side);
+    let columns = range(x, width);
+    let (mut sum, mut count) = ([0_u32; 3], 0);
+    for row in range(y, height) {
+        let line = &levels[(row * width + columns.start) * 3..(row * width + columns.end) * 3];
+        for rgb in line.chunks_exact(3) {
+            (0..3).for_each(|c| sum[c] += u32::from(rgb[c]));
+        }
+        count += columns.len() as u32;
+    }
+    sum.map(|sum| ((sum + count / 2) / count.max(1)) as u8)
+}
+
+/// Returns the color that the looks agree on: their mean, weighted by `1 / (1 + (d / TOLERANCE)²)`, where `d`
+/// is the difference of a look from the mean. `None` without looks.
+#[inline(always)] // into loops that are compiled for wide vectors
+pub(crate) fn agreed_color(looks: &[ColorSample]) -> Option<[u8; 3]> {
+    if looks.is_empty() {
+        return None;
+    }
+    let mut color = mean_look(looks, |_| 1.0);
+    for _ in 0..ROUNDS {
+        color = mean_look(looks, |rgb| {
+            let differs = (0..3).map(|c| (rgb[c] - color[c]).abs()).sum::<f32>() / TOLERANCE;
+            1.0 / (1.0 + differs * differs)
+        });
+    }
+    Some(color.map(|level| (level + 0.5) as u8))
+}
+
+/// Returns the mean color of looks; `trust` is a factor of the weight of a look, given its color.
+#[inline(always)]
+fn mean_look(looks: &[ColorSample], trust: impl Fn([f32; 3]) -> f32) -> [f32; 3] {
+    let (mut sum, mut total) = ([0.0_f32; 3], 0.0_f32);
+    for look in looks {
+        let rgb = look.rgb.map(f32::from);
+        let weight = look.weight * trust(rgb);
+        (0..3).for_each(|c| sum[c] += weight * rgb[c]);
+        total += weight;
+    }
+    sum.map(|level| level / total)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::{Camera, Distortion};
+    use crate::skeleton::Projector;
+    use glam::DAffine3;
+
+    fn look_at(view: &ColorView, project: &Projector, point: DVec3) -> Option<ColorSample> {
+        let (pixel, depth_m) = project.pixel(point)?;
+        (!view.hides(pixel, depth_m)).then(|| view.look(view.radii(), pixel, depth_m))
+    }
+
+    fn look(grey: u8, weight: f32) -> ColorSample {
+        ColorSample { rgb: [grey; 3], weight }
+    }
+
+    #[test]
+    fn the_majority_outvotes_a_nearer_view() {
+        assert_eq!(agreed_color(&[]), None);
+        assert_eq!(agreed_color(&[look(9, 0.1)]), Some([9; 3]));
+        let agreed = |looks: &[ColorSample]| agreed_color(looks).unwrap()[0];
+        // The plain mean is 92.
+        assert!((10..20).contains(&agreed(&[look(200, 0.3), look(10, 0.2), look(12, 0.2)])));
+        // The plain mean is 191; at 254, black counts 1/59 as much as white.
+        assert_eq!(agreed(&[look(0, 0.1), look(255, 0.1), look(255, 0.1), look(255, 0.1)]), 254);
+    }
+
+    /// Without outliers, it is the weighted mean; its order and scale do not matter.
+    #[test]
+    fn similar_looks_are_averaged() {
+        let looks = [look(100, 0.1), look(104, 0.3), look(103, 0.1)];
+        assert_eq!(agreed_color(&looks), Some([103; 3]));
+        let other = [looks[2], looks[0], looks[1]].map(|l| ColorSample { weight: l.weight * 50.0, ..l });
+        assert_eq!(agreed_color(&other), Some([103; 3]));
+        let every = |rgb| ColorSample { rgb, weight: 0.01 };
+        for level in 0..=255 {
+            let rgb = [level, 255 - level, 7];
+            assert_eq!(agreed_color(&[every(rgb); 5]), Some(rgb));
+        }
+    }
+
+    /// Sums in double precision, with the weights of the definition, differ by rounding alone, whatever the
+    /// order of looks.
+    #[test]
+    fn agreed_colors_are_those_of_the_definition() {
+        let number = |i: i64, axis: i64| crate::hash::between(11, &[i, axis], 0.0, 1.0);
+        let naive = |looks: &[ColorSample]| {
+            let mut color = [f64::NAN; 3];
+            for round in 0..=ROUNDS {
+                let weight = |look: &ColorSample| {
+                    let d: f64 = (0..3).map(|c| (f64::from(look.rgb[c]) - color[c]).abs()).sum();
+                    let trust =
+                        if round == 0 { 1.0 } else { 1.0 / (1.0 + (d / f64::from(TOLERANCE)).powi(2)) };
+                    f64::from(look.weight) * trust
+                };
+                let total: f64 = looks.iter().map(weight).sum();
+                let mean =
+                    |c: usize| looks.iter().map(|l| weight(l) * f64::from(l.rgb[c])).sum::<f64>() / total;
+                color = [0, 1, 2].map(mean);
+            }
+            color
+        };
+        for count in (1..70).chain([200]) {
+            let look = |i: i64| ColorSample {
+                rgb: [0, 1, 2].map(|c| (number(count * 1000 + i, c) * 256.0) as u8),
+                weight: number(count * 1000 + i, 3) as f32 + 0.01,
+            };
+            let mut looks: Vec<ColorSample> = (0..count).map(look).collect();
+            let expected = naive(&looks);
+            for _ in 0..2 {
+                let found = agreed_color(&looks).unwrap();
+                let off = |c: usize| (f64::from(found[c]) - expected[c]).abs();
+                assert!((0..3).all(|c| off(c) < 0.501), "{found:?} {expected:?}");
+                looks.reverse();
+            }
+        }
+    }
+
+    /// Means over whole squares are those of clipped ones, in every pixel of an image up to its last byte.
+    #[test]
+    fn means_of_squares_are_those_of_clipped_squares() {
+        let rows = [[100.0, 0.0, 20.0], [0.0, 100.0, 20.0], [0.0, 0.0, 1.0]];
+        let camera = Camera::new("c", 23, 17, rows).unwrap();
+        let level = |x: u32, y: u32, c: i64| {
+            crate::hash::between(3, &[i64::from(x), i64::from(y), c], 0.0, 256.0) as u8
+        };
+        let image = RgbImage::from_fn(23, 17, |x, y| image::Rgb([0, 1, 2].map(|c| level(x, y, c))));
+        let view = View { camera, camera_from_world: DAffine3::IDENTITY };
+        let view = ColorView { image, view, t_us: 0, occlusion: None };
+        for (x, y) in (0..17).flat_map(|y| (0..23).map(move |x| (x, y))) {
+            for radius in 0..5 {
+                let pixel = DVec2::new(x as f64 + 0.5, y as f64 + 0.5);
+                let clipped = clipped_mean(view.image.as_raw(), [23, 17], [x, y], radius);
+                assert_eq!(view.mean_color(pixel, radius), clipped, "radius {radius} at {x}, {y}");
+            }
+        }
+    }
+
+    #[test]
+    fn recorded_images_are_looked_at_through_their_lens() {
+        let rows = [[700.0, 0.0, 800.0], [0.0, 705.0, 450.0], [0.0, 0.0, 1.0]];
+        let pinhole = Camera::new("c", 1600, 900, rows).unwrap();
+        let distortion = Distortion::from_opencv([-0.28, 0.071, 0.0011, -0.0007, -0.0079]);
+        let camera = Camera { distortion, ..pinhole.clone() };
+        let place = DAffine3::from_rotation_y(0.2) * DAffine3::from_translation(DVec3::new(3.0, 1.0, 2.0));
+        let [bent, straight] =
+            [camera, pinhole].map(|camera| View { camera, camera_from_world: place.inverse() });
+        let project = [&bent, &straight].map(|view| Projector::new(view, &place));
+        // At the edge of the image the lens moves a point inward by 100 pixels.
+        let point = DVec3::new(6.0, 2.0, 5.5);
+        let [(seen, depth_m), (ideal, _)] = [0, 1].map(|i| project[i].pixel(point).unwrap());
+        assert!(seen.distance(ideal) > 100.0 && seen.x < ideal.x, "{seen} {ideal}");
+        let (expected, z) = bent.project_recorded(place.transform_point3(point)).unwrap();
+        assert!(seen.distance(expected) < 1e-9 && (depth_m - z).abs() < 1e-12);
+        assert_eq!(straight.project_recorded(DVec3::ONE), straight.project(DVec3::ONE));
+        // The image is colored by columns, so the color identifies the sampled column.
+        let image = RgbImage::from_fn(1600, 900, |x, _| image::Rgb([(x / 10) as u8, 0, 0]));
+        let view = ColorView { image, view: bent, t_us: 0, occlusion: None };
+        let look = look_at(&view, &project[0], point).unwrap();
+        assert!((f64::from(look.rgb[0]) - seen.x / 10.0).abs() < 1.0, "{look:?} {seen}");
+        // Beyond the range where its distortion is monotonic, the lens yields no pixel, thus no ghost image.
+        assert_eq!(project[0].pixel(DVec3::new(40.0, 0.0, 5.0)), None);
+    }
+
+    #[test]
+    fn a_color_is_the_mean_over_the_footprint() {
+        let rows = [[100.0, 0.0, 20.0], [0.0, 100.0, 20.0], [0.0, 0.0, 1.0]];
+        let camera = Camera::new("c", 1600, 40, rows).unwrap();
+        let view = View { camera, camera_from_world: DAffine3::IDENTITY };
+        let image = RgbImage::from_fn(1600, 40, |x, _| image::Rgb([if x < 20 { 0 } else { 70 }, 8, 9]));
+        let color_view = ColorView { image, view, t_us: 0, occlusion: None };
+        let project = Projector::new(&color_view.view, &DAffine3::IDENTITY);
+        let at = |x: f64, z: f64| look_at(&color_view, &project, DVec3::new(x, 0.0, z)).map(|l| l.rgb);
+        // Pixel column 20: of 7 columns 17..=23 four are bright; far away, of 3 columns two.
+        assert_eq!(at(0.0, 10.0), Some([40, 8, 9]));
+        assert_eq!(at(0.0, 50.0), Some([47, 8, 9]));
+        // Clipped at the border: columns 0..=5.
+        assert_eq!(at(-1.75, 10.0), Some([0, 8, 9]));
+        assert_eq!([at(-2.1, 10.0), at(158.1, 10.0), at(0.0, 0.05), at(0.0, -5.0)], [None; 4]);
+    }
+}
