@@ -9,11 +9,11 @@ use std::time::Duration;
 
 use criterion::measurement::WallTime;
 use criterion::{BenchmarkGroup, Criterion, SamplingMode, Throughput, criterion_group, criterion_main};
-use point_skeleton::cloud::street::{street_cloud, street_views};
 use point_skeleton::geometry::{ImageSize, View};
 use point_skeleton::raster::{
     FrameJob, Instance, MapKind, MapSet, Occlusion, Rasterizer, RasterizerKind, SplatSchedule, create,
 };
+use pskel_eval::bench::{street_cloud, street_views};
 
 const POINTS: usize = 400_000;
 const KINDS: [RasterizerKind; 3] = [RasterizerKind::Compute, RasterizerKind::Graphics, RasterizerKind::Cpu];

@@ -5,10 +5,10 @@ use point_skeleton::BuildOptions;
 use point_skeleton::skeleton::{self, BuildInput, BuildRun, Progress};
 use pyo3::prelude::*;
 
-use crate::callback::Callback;
 use crate::error::raise;
 use crate::log::Log;
 use crate::pool::detached;
+use crate::simulation::callback::Callback;
 use crate::skeleton::Skeleton;
 
 /// Builds a skeleton from all frames of a log, and writes it to a folder; an existing skeleton is replaced.

@@ -6,9 +6,9 @@ use pskel::{ExportCommand, ListedExport};
 use pskel_export::ExportProgress;
 use pyo3::prelude::*;
 
-use crate::callback::Callback;
 use crate::error::{Error, invalid};
 use crate::pool::detached;
+use crate::simulation::callback::Callback;
 
 /// An export of the condition maps of logs: the command `pskel export` with its arguments.
 #[pyclass(frozen, module = "pskel")]

@@ -5,7 +5,7 @@ use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use rayon::prelude::*;
 
-use crate::arrays::Typed;
+use crate::maps::arrays::Typed;
 use crate::pool::detached;
 
 /// Fills the holes of color maps `[V, H, W, 3]` `uint8`, where `depth` `[V, H, W]` `float32` is infinite,

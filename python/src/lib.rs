@@ -6,20 +6,15 @@
 //! `pskel.Error` with the same text; invalid arguments become `ValueError`. Maps are NumPy arrays over all
 //! cameras (`maps`).
 
-mod arrays;
 mod build;
-mod callback;
 mod command;
 mod error;
 mod export;
 mod fill;
 mod log;
 mod maps;
-mod owned_log;
-mod points;
 mod pool;
 mod renderer;
-mod roll;
 mod scene;
 mod simulation;
 mod skeleton;
@@ -51,11 +46,11 @@ mod _pskel {
     #[pymodule_export]
     use crate::renderer::{Frames, Renderer};
     #[pymodule_export]
-    use crate::roll::ResetAndRoll;
-    #[pymodule_export]
     use crate::scene::{Actor, Camera, Scene};
     #[pymodule_export]
     use crate::simulation::Simulation;
+    #[pymodule_export]
+    use crate::simulation::roll::ResetAndRoll;
     #[pymodule_export]
     use crate::skeleton::Skeleton;
     #[pymodule_export]

@@ -9,8 +9,8 @@ use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyIterator, PyString};
 use self_cell::self_cell;
 
-use crate::arrays::Size;
 use crate::error::{FORKS, RenderError, invalid, raise};
+use crate::maps::arrays::Size;
 use crate::maps::dictionary;
 use crate::pool::detached;
 use crate::scene::Scene;

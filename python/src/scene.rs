@@ -10,8 +10,8 @@ use point_skeleton::{EgoOffset, SceneState, geometry};
 use pyo3::exceptions::{PyKeyError, PyValueError};
 use pyo3::prelude::*;
 
-use crate::arrays::{Numbers, Size, intrinsics, matrix, pose, rows, shaped, stack};
 use crate::error::invalid;
+use crate::maps::arrays::{Numbers, Size, intrinsics, matrix, pose, rows, shaped, stack};
 
 /// Camera of a scene, mounted on the ego: a pinhole.
 ///

@@ -10,9 +10,9 @@ use point_skeleton::skeleton::{AssetPoints, GlobalPoint};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 
-use crate::arrays::Numbers;
 use crate::error::raise;
-use crate::points::{ArrayPoint, points};
+use crate::maps::arrays::Numbers;
+use crate::maps::points::{ArrayPoint, points};
 use crate::pool::detached;
 
 /// Category, box size (length, width, height in meters) and points of an asset.

@@ -7,10 +7,10 @@ use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
-use crate::arrays::{Numbers, Size, affine, intrinsics as matrix, shaped};
 use crate::error::{invalid, raise};
+use crate::maps::arrays::{Numbers, Size, affine, intrinsics as matrix, shaped};
 use crate::maps::dictionary;
-use crate::points::placed;
+use crate::maps::points::placed;
 use crate::pool::detached;
 
 /// Splats points `[N, 6]` (x, y, z in meters; red, green, blue of 0 to 255) or `[N, 7]` (and class) into
@@ -31,7 +31,7 @@ pub(crate) fn splat<'py>(
 ) -> PyResult<Bound<'py, PyDict>> {
     let schedule: SplatSchedule = schedule.parse().map_err(invalid)?;
     let kind: RasterizerKind = rasterizer.parse().map_err(invalid)?;
-    let (points, origin) = placed(py, "points", &crate::points::points(py, "points", &points)?)?;
+    let (points, origin) = placed(py, "points", &crate::maps::points::points(py, "points", &points)?)?;
     let views = views(&intrinsics, &camera_from_world, size)?;
     let world_from_local = DAffine3::from_translation(origin);
     let maps = MapSet::of(&[MapKind::Color, MapKind::Depth, MapKind::Class, MapKind::Point]);

@@ -18,7 +18,6 @@ mod origin;
 pub mod ply;
 mod point;
 mod rows;
-pub mod street;
 
 pub use colors::{ColorRange, ColorScale, ColorValues};
 pub use format::{PointFormat, PointOutput};

@@ -10,55 +10,43 @@
 //! (feature `network`) generates images with variants of the generator and compares their scores.
 //! [`protocol`] defines evaluation protocols, and [`bench`](mod@bench) measures the speed of rendering.
 
-#[cfg(feature = "network")]
 pub mod ablate;
 pub mod bench;
-mod conv_net;
 mod depth;
+mod distribution;
 mod drift;
 mod evaluate;
-mod features;
 #[cfg(feature = "town")]
 mod fidelity;
-mod frechet;
-mod image_quality;
+mod images;
 #[cfg(feature = "network")]
-mod loss_plot;
-mod luma;
-mod masks;
-mod motion;
-mod patch_classifier;
 pub mod plot;
 pub mod protocol;
-mod pseudo_label;
 mod scores;
-mod seams;
-mod sharpness;
-mod ssim;
 mod statistics;
 mod table;
+mod vehicles;
 
-pub use conv_net::RandomConvNet;
 pub use depth::{DepthErrors, DepthSummary};
+pub use distribution::conv_net::RandomConvNet;
+pub use distribution::features::{FeatureSet, WINDOW_FRAMES, window_features};
+pub use distribution::frechet::{FrechetError, frechet_distance};
 pub use drift::Drift;
 pub use evaluate::{EvaluateError, EvaluateOptions, Report, SCORES, evaluate};
-pub use features::{FeatureSet, WINDOW_FRAMES, window_features};
 #[cfg(feature = "town")]
 pub use fidelity::{FidelityError, FidelityFiles, FidelityReport, MaskRow, POSES, Row, fidelity};
-pub use frechet::{FrechetError, frechet_distance};
-pub use image_quality::{FilledError, compare_filled, psnr_db};
+pub use images::image_quality::{FilledError, compare_filled, psnr_db};
+pub use images::motion::{MOVING_MPS, Motion, MotionSums, MovingFrame, moving_mask};
+pub use images::seams::SeamSums;
+pub use images::sharpness::sharpness;
+pub use images::ssim::ssim;
 #[cfg(feature = "network")]
-pub use loss_plot::loss_plot;
-pub(crate) use luma::luma;
-pub use masks::Overlap;
-pub use motion::{MOVING_MPS, Motion, MotionSums, MovingFrame, moving_mask};
-pub use patch_classifier::{PatchClassifier, PatchClassifierError, PatchOptions, PatchTrainer};
-pub use pseudo_label::{VEHICLE_CLASS, vehicle_mask};
+pub use plot::loss::loss_plot;
 pub use scores::{
     CollectedFeatures, Distance, Distances, RolloutScores, ScoreError, ScoredFrame, Scores,
     SegmentationMasks, Series, VehicleIou,
 };
-pub use seams::SeamSums;
-pub use sharpness::sharpness;
-pub use ssim::ssim;
 pub use statistics::{MeanInterval, mean_interval, paired_difference};
+pub use vehicles::masks::Overlap;
+pub use vehicles::patch_classifier::{PatchClassifier, PatchClassifierError, PatchOptions, PatchTrainer};
+pub use vehicles::pseudo_label::{VEHICLE_CLASS, vehicle_mask};

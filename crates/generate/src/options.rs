@@ -2,8 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::window::Roll;
 use super::{GenerateError, Guidance, SamplerOptions, Strategy};
+use crate::generator::window::Roll;
 
 /// Options of the generator.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]

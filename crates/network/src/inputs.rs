@@ -4,9 +4,9 @@ use point_skeleton::geometry::ImageSize;
 use pskel_generate::{CAMERA_NUMBERS, FrameConditions, NO_ACTION, NO_COLOR};
 use rayon::prelude::*;
 
-use super::config::{CELL, LATENT_CHANNELS, TOKEN};
 use super::fill::fill;
 use super::{NetworkConfig, NetworkError};
+use crate::weights::config::{CELL, LATENT_CHANNELS, TOKEN};
 
 /// Numbers of a pixel: filled color (3), filled depth, whether color and depth are known (2), layout (6),
 /// direction of the ray in the ego frame (3), and a zero.

@@ -11,11 +11,9 @@
 //! [`Denoiser`](pskel_generate::Denoiser) and the [`Codec`](pskel_generate::Codec) that run it.
 //! [`GeneratorSettings`] open a network by its name.
 
-mod config;
 mod denoiser;
 mod error;
 mod fill;
-mod filled;
 mod generator;
 mod inputs;
 mod kernels;
@@ -23,27 +21,26 @@ mod latents;
 mod levels;
 mod model;
 mod ops;
-mod parameters;
 mod statistics;
 mod threads;
 pub mod train;
 mod weights;
 
-pub use config::NetworkConfig;
 pub use denoiser::Network;
 pub use error::NetworkError;
 pub use fill::fill_holes;
-pub use filled::FilledColor;
+pub use fill::filled::FilledColor;
 pub use generator::{
     GenerationScene, GeneratorReport, GeneratorSettings, NetworkName, OpenNetworkError, OpenedNetwork,
 };
 pub use kernels::Attend;
 pub use statistics::Statistics;
+pub use weights::config::NetworkConfig;
 pub use weights::{Provenance, Weights};
 
 pub(crate) use inputs::Inputs;
 pub(crate) use latents::latent_rows;
 pub(crate) use levels::Levels;
 pub(crate) use model::{EncodedConditions, Model, WindowConditions};
-pub(crate) use parameters::{fresh, shapes};
+pub(crate) use weights::parameters::{fresh, shapes};
 pub(crate) use weights::{find, in_file, read, read_whole, serialized};

@@ -2,10 +2,10 @@ use std::collections::BTreeMap;
 
 use candle_core::{Device, Result, Tensor};
 
-use super::config::LATENT_CHANNELS;
 use super::kernels::{AttentionMlp, Convolution, Grid, LANES, Resize};
-use super::parameters::{Modulations, WAVES, shapes};
 use super::{Inputs, Levels, NetworkConfig, NetworkError, Statistics, ops, threads};
+use crate::weights::config::LATENT_CHANNELS;
+use crate::weights::parameters::{Modulations, WAVES, shapes};
 
 /// The network. A convolutional encoder turns the conditions of a frame into features at four sizes, once per
 /// frame. The denoiser works on latents at a quarter of the size, with attention within images, across

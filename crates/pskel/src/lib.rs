@@ -4,44 +4,13 @@
 //! [`run`] parses the arguments, runs the subcommand and converts its result into an exit code: 0 success, 1
 //! failure, 2 wrong usage. Progress and errors go to stderr, the summary line to stdout.
 
-#[cfg(feature = "network")]
-mod ablate;
 mod advice;
-mod bench;
-mod build;
-mod choices;
-mod convert;
-mod evaluate;
-mod export;
-#[cfg(feature = "town")]
-mod fidelity;
-#[cfg(feature = "network")]
-mod generate;
-#[cfg(feature = "network")]
-mod generator;
-mod info;
-mod log_args;
+mod args;
+mod commands;
 pub mod logs;
-mod map_args;
-mod numbers;
-mod outputs;
 mod progress;
-#[cfg(feature = "network")]
-mod protocol;
-mod rasterizer;
-mod render;
 mod signals;
-mod simulate;
-mod skeletons;
-mod splat;
-mod substitutes;
-mod templates;
 mod terminal;
-mod threads;
-#[cfg(feature = "town")]
-mod town;
-#[cfg(feature = "network")]
-mod train;
 
 use std::ffi::OsString;
 use std::sync::Arc;
@@ -54,8 +23,8 @@ use point_skeleton::files::lacks_locks;
 use point_skeleton::memory::variable_limit;
 use point_skeleton::threads::start_pool;
 
-pub use self::export::{ExportCommand, ListedExport};
 use self::terminal::{say, tell, tell_notes, warn};
+pub use commands::export::{ExportCommand, ListedExport};
 
 /// Converts driving recordings into camera conditions: color, metric depth, class, instance and layout maps.
 #[derive(Debug, Parser)]
@@ -67,55 +36,55 @@ struct Cli {
 
 #[derive(Debug, Subcommand)]
 enum Command {
-    Info(info::InfoArgs),
-    Build(build::BuildArgs),
-    Render(Box<render::RenderArgs>),
-    Export(Box<export::ExportArgs>),
-    Simulate(Box<simulate::SimulateArgs>),
-    Splat(splat::SplatArgs),
-    Convert(convert::ConvertArgs),
-    Templates(templates::TemplatesArgs),
-    Bench(Box<bench::BenchArgs>),
+    Info(commands::info::InfoArgs),
+    Build(commands::build::BuildArgs),
+    Render(Box<commands::render::RenderArgs>),
+    Export(Box<commands::export::ExportArgs>),
+    Simulate(Box<commands::simulate::SimulateArgs>),
+    Splat(commands::splat::SplatArgs),
+    Convert(commands::convert::ConvertArgs),
+    Templates(commands::templates::TemplatesArgs),
+    Bench(Box<commands::bench::BenchArgs>),
     #[cfg(feature = "town")]
-    Town(town::TownArgs),
+    Town(commands::town::TownArgs),
     #[cfg(feature = "town")]
-    Fidelity(Box<fidelity::FidelityArgs>),
+    Fidelity(Box<commands::fidelity::FidelityArgs>),
     #[cfg(feature = "network")]
-    Train(train::TrainArgs),
+    Train(commands::train::TrainArgs),
     #[cfg(feature = "network")]
-    Generate(Box<generate::GenerateArgs>),
-    Evaluate(evaluate::EvaluateArgs),
+    Generate(Box<commands::generate::GenerateArgs>),
+    Evaluate(commands::evaluate::EvaluateArgs),
     #[cfg(feature = "network")]
-    Ablate(ablate::AblateArgs),
+    Ablate(commands::ablate::AblateArgs),
     #[cfg(feature = "network")]
-    Protocol(Box<protocol::ProtocolArgs>),
+    Protocol(Box<commands::protocol::ProtocolArgs>),
 }
 
 impl Command {
     fn run(self) -> anyhow::Result<()> {
         match self {
-            Self::Info(args) => info::run(args),
-            Self::Build(args) => build::run(args),
-            Self::Render(args) => render::run(*args),
-            Self::Export(args) => export::run(*args),
-            Self::Simulate(args) => simulate::run(*args),
-            Self::Splat(args) => splat::run(args),
-            Self::Convert(args) => convert::run(args),
-            Self::Templates(args) => templates::run(&args),
-            Self::Bench(args) => bench::run(&args),
+            Self::Info(args) => commands::info::run(args),
+            Self::Build(args) => commands::build::run(args),
+            Self::Render(args) => commands::render::run(*args),
+            Self::Export(args) => commands::export::run(*args),
+            Self::Simulate(args) => commands::simulate::run(*args),
+            Self::Splat(args) => commands::splat::run(args),
+            Self::Convert(args) => commands::convert::run(args),
+            Self::Templates(args) => commands::templates::run(&args),
+            Self::Bench(args) => commands::bench::run(&args),
             #[cfg(feature = "town")]
-            Self::Town(args) => town::run(&args),
+            Self::Town(args) => commands::town::run(&args),
             #[cfg(feature = "town")]
-            Self::Fidelity(args) => fidelity::run(&args),
+            Self::Fidelity(args) => commands::fidelity::run(&args),
             #[cfg(feature = "network")]
-            Self::Train(args) => train::run(&args),
+            Self::Train(args) => commands::train::run(&args),
             #[cfg(feature = "network")]
-            Self::Generate(args) => generate::run(*args),
-            Self::Evaluate(args) => evaluate::run(&args),
+            Self::Generate(args) => commands::generate::run(*args),
+            Self::Evaluate(args) => commands::evaluate::run(&args),
             #[cfg(feature = "network")]
-            Self::Ablate(args) => ablate::run(&args),
+            Self::Ablate(args) => commands::ablate::run(&args),
             #[cfg(feature = "network")]
-            Self::Protocol(args) => protocol::run(&args),
+            Self::Protocol(args) => commands::protocol::run(&args),
         }
     }
 }
@@ -160,7 +129,7 @@ struct WrongUsage(String);
 
 /// Sets up the process before any command.
 fn prepare() -> anyhow::Result<()> {
-    threads::check_environment()?;
+    args::threads::check_environment()?;
     variable_limit().map_err(|error| WrongUsage(error.to_string()))?;
     survive_file_limits()?;
     signals::install().map_err(|error| anyhow::anyhow!("cannot handle signals: {error}"))?;

@@ -13,6 +13,7 @@
 //! A step is a pure function: the same log, options and plans give the same bytes, and a rollout that was
 //! saved and resumed equals an uninterrupted one.
 
+mod path;
 pub mod peer;
 pub mod report;
 pub mod rollout;
@@ -22,34 +23,29 @@ mod clock;
 mod ego;
 mod error;
 mod external;
-mod fit;
 mod history;
-mod local_path;
 mod metrics;
 mod options;
-mod pose_path;
 mod recorded;
-mod route;
 mod saved;
 mod scenario;
 mod simulation;
 mod state;
 mod time;
 mod tracking;
-mod trajectory;
 mod world;
 
 pub use actors::idm_step;
 pub use error::SimError;
-pub use local_path::{LocalPath, LocalPathError};
 pub use metrics::{Collision, CollisionKind, Comfort, Deviation, Metrics, OffRoad, Range};
 pub use options::{ActorPolicy, EgoPolicy, PathAnchor, Rates, SimOptions, Tracking};
+pub use path::local_path::{LocalPath, LocalPathError};
+pub use path::trajectory::{Trajectory, Waypoint};
 pub use saved::SavedState;
 pub use scenario::{Scenario, scene_state};
 pub use simulation::{EndReason, Simulation, StepOutcome};
 pub use state::{
     Committed, EGO_SIZE_M, EgoState, Forecast, Instant, REAR_AXLE_TO_CENTER_M, SimActor, WHEELBASE_M,
 };
-pub use trajectory::{Trajectory, Waypoint};
 
 pub use crate::peer::{PeerAddress as PlannerAddress, PeerError as PlannerError, PeerSpec as PlannerSpec};

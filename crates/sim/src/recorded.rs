@@ -4,10 +4,10 @@ use glam::{DVec2, DVec3};
 use point_skeleton::dataset::{EgoTrack, Recording, TrackBox, TrafficLight};
 use point_skeleton::geometry::{Cuboid, Foot, Pose, wrap_angle};
 
-use super::fit::motion;
-use super::route::Route;
 use super::time::seconds;
 use super::{EgoState, Instant, Scenario, SimActor, SimError, WHEELBASE_M};
+use crate::path::fit::motion;
+use crate::path::route::Route;
 
 /// Half width of the window of poses from which the ego's motion is estimated, seconds.
 const EGO_WINDOW_S: f64 = 0.5;

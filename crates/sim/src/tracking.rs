@@ -3,10 +3,10 @@
 use glam::DVec2;
 use point_skeleton::geometry::wrap_angle;
 
-use super::route::RouteWindow;
 use super::time::seconds;
-use super::trajectory::{Trajectory, Waypoint};
 use super::{EgoState, Instant, Tracking, WHEELBASE_M};
+use crate::path::route::RouteWindow;
+use crate::path::trajectory::{Trajectory, Waypoint};
 
 /// Maximum steering angle of the front wheels to either side, radians.
 const MAX_STEERING_RAD: f64 = 0.6;
@@ -146,7 +146,7 @@ impl Bicycle {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::route::Route;
+    use crate::path::route::Route;
     use point_skeleton::dataset::{EgoTrack, Recording};
     use point_skeleton::geometry::Pose;
 

@@ -90,7 +90,7 @@ pub enum InputFormat {
 /// One module per shader: `SHADER`, and for each named struct its `SIZE` and the offset of each member,
 /// bytes.
 pub mod shaders {
-    use super::{Binding, BindingKind, Input, InputFormat, Shader, Stage};
+    use crate::gpu::pipeline::shader::{Binding, BindingKind, Input, InputFormat, Shader, Stage};
     include!(concat!(env!("OUT_DIR"), "/shaders.rs"));
 }
 

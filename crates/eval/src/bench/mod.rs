@@ -11,12 +11,14 @@ mod measure;
 mod memory;
 mod options;
 mod result;
+mod street;
 mod trace;
 mod workload;
 
 pub use measure::TimedFrame;
 pub use options::{BenchError, BenchOptions};
 pub use result::{BenchResult, Spread};
+pub use street::{street_cloud, street_views};
 pub use trace::TRACE;
 pub use workload::Workload;
 

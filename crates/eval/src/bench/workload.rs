@@ -1,8 +1,8 @@
 use std::ops::Range;
 use std::sync::Arc;
 
+use super::street;
 use point_skeleton::Log;
-use point_skeleton::cloud::street;
 use point_skeleton::cloud::{Point, PointFile};
 use point_skeleton::conditions::{ConditionOptions, ImageSize, MapKind, MapSet};
 use point_skeleton::dataset::Recording;

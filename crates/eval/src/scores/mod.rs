@@ -15,8 +15,10 @@ use rayon::prelude::*;
 pub use self::distances::{CollectedFeatures, Distance, Distances};
 pub use self::frame::{ScoreError, ScoredFrame, SegmentationMasks};
 pub use self::result::{Scores, Series, VehicleIou};
-use super::motion::{MotionSums, MovingFrame};
-use super::{Overlap, RandomConvNet, SeamSums, psnr_db, sharpness, ssim, vehicle_mask};
+use super::{Overlap, RandomConvNet, SeamSums, psnr_db, vehicle_mask};
+use crate::images::motion::{MotionSums, MovingFrame};
+use crate::images::sharpness::sharpness;
+use crate::images::ssim::ssim;
 
 /// Sides of the blocks whose seams are measured, pixels: those of latents and tokens of the included network.
 const SEAM_SIDES: [usize; 2] = [4, 8];

@@ -48,9 +48,9 @@ pub struct Scores {
     pub equal_images: usize,
     /// PSNR, see [`psnr_db`](crate::psnr_db); mean over cameras, dB.
     pub psnr_db: Series,
-    /// SSIM, see [`ssim`](crate::ssim); mean over cameras.
+    /// SSIM, see [`ssim`](crate::images::ssim::ssim); mean over cameras.
     pub ssim: Series,
-    /// Sharpness of generated images, see [`sharpness`](crate::sharpness); mean over cameras, levels per
+    /// Sharpness of generated images, see [`sharpness`](crate::images::sharpness::sharpness); mean over cameras, levels per
     /// pixel.
     pub sharpness: Series,
     /// Sharpness of ground-truth images.

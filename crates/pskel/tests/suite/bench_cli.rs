@@ -2,10 +2,10 @@
 
 use std::collections::BTreeSet;
 
-use point_skeleton::cloud::street::{street_cloud, street_views};
 use point_skeleton::cloud::{cameras, npy};
 use point_skeleton::geometry::View;
 use point_skeleton::scene::Substitutes;
+use pskel_eval::bench::{street_cloud, street_views};
 use serde_json::Value;
 
 use crate::npz;

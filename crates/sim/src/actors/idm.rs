@@ -8,7 +8,7 @@ use point_skeleton::idm::{Idm, Leader};
 
 use super::leader::Others;
 use crate::SimActor;
-use crate::pose_path::PosePath;
+use crate::path::pose_path::PosePath;
 use crate::recorded::Recorded;
 
 /// Parameters as in nuPlan.

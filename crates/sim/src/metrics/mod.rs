@@ -19,9 +19,9 @@ use serde::{Deserialize, Serialize};
 use self::comfort::ComfortTally;
 use super::Instant;
 use super::recorded::Recorded;
-use super::route::Route;
 use super::time::seconds;
 use super::world::World;
+use crate::path::route::Route;
 
 /// Metrics of a rollout, from the takeover (or the start) on.
 #[derive(Clone, Debug, PartialEq, Serialize)]

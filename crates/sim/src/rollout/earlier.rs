@@ -5,8 +5,8 @@ use point_skeleton::files::input::is_there;
 use point_skeleton::files::json;
 use serde_json::Value;
 
-use super::files::{ROLLOUT, STATE, STATES, shown_files, step_folder};
 use super::options::{InputPaths, ResumeAfter};
+use super::output::files::{ROLLOUT, STATE, STATES, shown_files, step_folder};
 use super::sources::Sources;
 use crate::SavedState;
 use crate::history::HISTORY_US;

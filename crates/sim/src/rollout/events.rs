@@ -5,8 +5,8 @@ use std::path::Path;
 use point_skeleton::error::{FileError, with_causes};
 use pskel_mcap::Level;
 
-use super::files::{STATE, step_folder};
 use super::finish::event;
+use super::output::files::{STATE, step_folder};
 use super::report::RolloutReport;
 use crate::report::images::is_reference;
 use crate::report::{Phase, StepRow};

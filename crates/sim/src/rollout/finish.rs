@@ -9,13 +9,13 @@ use serde::{Deserialize, Serialize};
 
 use super::earlier::read_record;
 use super::error::RolloutError;
-use super::files::{INDEX, METRICS, PAGE, ROLLOUT, STATES, VIDEO};
 use super::options::RolloutInputs;
 use super::output::Output;
+use super::output::files::{INDEX, METRICS, PAGE, ROLLOUT, STATES, VIDEO};
+#[cfg(feature = "video")]
+use super::output::video;
 use super::report::RolloutReport;
 use super::sources::Sources;
-#[cfg(feature = "video")]
-use super::video;
 use crate::report::page::{self, Page, PageActor, PageEvent, PageStep};
 use crate::report::{ActorRow, Phase, StepRow, sight};
 use crate::{Collision, EndReason, Metrics};

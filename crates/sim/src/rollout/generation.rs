@@ -10,8 +10,8 @@ use point_skeleton::files::input::{is_there, read_table};
 use point_skeleton::files::write_whole;
 
 use super::error::RolloutError;
-use super::files::{GENERATOR_STATE, STATE, step_folder};
 use super::generator::{GenerationTimes, ImageGenerator};
+use super::output::files::{GENERATOR_STATE, STATE, step_folder};
 use crate::report::images::{self, GENERATED, StepImages, TRUTH};
 use crate::report::{StepRow, view};
 use crate::{SavedState, Scenario, SimOptions, Simulation};

@@ -11,12 +11,9 @@ mod earlier;
 mod error;
 #[cfg(feature = "mcap")]
 mod events;
-mod files;
 mod finish;
 mod generation;
 mod generator;
-#[cfg(feature = "mcap")]
-mod mcap;
 mod options;
 mod output;
 mod profile;
@@ -25,16 +22,14 @@ mod sources;
 mod steps;
 #[cfg(test)]
 mod tests;
-#[cfg(feature = "video")]
-mod video;
 
 pub use error::{AnyError, RolloutError};
-pub use files::METRICS;
 pub use finish::{check_finished, is_finished};
 pub use generator::{GenerationTimes, ImageGenerator};
-#[cfg(feature = "mcap")]
-pub use mcap::MCAP;
 pub use options::{InputPaths, ResumeAfter, RolloutInputs, RolloutOptions};
+pub use output::files::METRICS;
+#[cfg(feature = "mcap")]
+pub use output::mcap::MCAP;
 pub use profile::{Profile, lap};
 pub use report::RolloutReport;
 
@@ -97,7 +92,7 @@ impl<'a> Rollout<'a> {
         let open = |(folder, read): (&'a Path, &Inputs)| {
             let files = OutputFolder::open(folder, KIND, read)?;
             // A resumed rollout is read from these.
-            files.check([files::ROLLOUT, files::STATES, files::STEPS])?;
+            files.check([output::files::ROLLOUT, output::files::STATES, output::files::STEPS])?;
             Ok::<_, FileError>((folder, files))
         };
         let out = out.map(open).transpose()?;
@@ -208,8 +203,12 @@ impl<'a> Rollout<'a> {
             #[cfg(feature = "mcap")]
             if let Some(file) = &mcap {
                 let folder = out.as_ref().map(|(folder, _)| *folder);
-                let input =
-                    mcap::Input { scenario: inputs.scenario, record: &record, report: &report, folder };
+                let input = output::mcap::Input {
+                    scenario: inputs.scenario,
+                    record: &record,
+                    report: &report,
+                    folder,
+                };
                 input.write(file)?;
             }
             Ok(())

@@ -13,9 +13,9 @@ use point_skeleton::scene::SceneState;
 use point_skeleton::{MapOptions, Maps, Renderer};
 
 use super::error::RolloutError;
-use super::files::{shown_files, step_folder};
 use super::finish::TRACES;
 use super::generation::Generation;
+use super::output::files::{shown_files, step_folder};
 use super::output::{Job, Output};
 use super::profile::{StepTimes, WriteTimes, lap};
 use super::report::RolloutReport;

@@ -9,7 +9,6 @@
 
 mod cells;
 mod draw;
-mod furniture;
 mod ground;
 mod house;
 mod kerbside;

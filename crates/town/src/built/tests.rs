@@ -2,11 +2,12 @@ use glam::{DVec2, DVec3, Vec3};
 
 use super::cells::Cells;
 use super::ground::{self, GROUND_M};
+use super::kerbside::furniture;
 use super::lots::{Lot, frontages, lots};
 use super::room::Room;
 use super::style::Style;
 use super::ways::Ways;
-use super::{furniture, house, kerbside, middle, paint, standing};
+use super::{house, kerbside, middle, paint, standing};
 use crate::mesh::{Mesh, Surface};
 use crate::plan::{Actor, JunctionEdge, KERB_M, Motion, Network, Plan, Traffic};
 

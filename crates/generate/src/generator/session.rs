@@ -1,0 +1,302 @@
+use std::time::Instant as Clock;
+
+use image::RgbImage;
+use point_skeleton::Renderer;
+use point_skeleton::geometry::{ImageSize, Pose};
+use point_skeleton::scene::{GroundTruthError, GroundTruthImages};
+use pskel_sim::report::images::StepImages;
+use pskel_sim::rollout::{AnyError, GenerationTimes, ImageGenerator, lap};
+use pskel_sim::{Committed, Instant, Simulation};
+
+use crate::{
+    Cache, Codec, Conditioner, ConditionerError, Denoiser, DenoiserError, FrameConditions, GaussianNoise,
+    GenerateError, GenerateOptions, Generator, Latent, RenderedConditions,
+};
+
+/// A network whose type is chosen at run time.
+pub type AnyDenoiser = Box<dyn Denoiser<Condition = FrameConditions>>;
+
+/// Components and options of a [`Session`].
+pub struct SessionParts<'a> {
+    /// Renders the network input.
+    pub conditioner: Conditioner<'a>,
+    /// Source of the reference images and of the ground truth for comparison.
+    pub truth: GroundTruthImages<'a>,
+    /// Whether the ego follows the log in the whole rollout.
+    pub ego_follows_log: bool,
+    /// Whether the actors follow the log in the whole rollout.
+    pub actors_follow_log: bool,
+    /// Codec between images and the network's latents.
+    pub codec: Box<dyn Codec>,
+    /// Size of the images.
+    pub size: ImageSize,
+    /// Options of the generator.
+    pub options: GenerateOptions,
+    /// Seed of the noise.
+    pub seed: u64,
+}
+
+/// A generator that runs with a simulation. At each planning step it generates a frame from the committed and
+/// forecast instants. The first frames are references: the ground-truth images of the planning steps in the
+/// warm-up.
+pub struct Session<'a> {
+    parts: SessionParts<'a>,
+    state: SessionState,
+    /// Ego pose at the previous planning step.
+    before: Option<Pose>,
+    times: GenerationTimes,
+}
+
+enum SessionState {
+    /// Collects references.
+    Warm { denoiser: AnyDenoiser, kept: Vec<(Latent, Committed<FrameConditions>)> },
+    /// Generates frames.
+    Going(Box<Generator<AnyDenoiser, GaussianNoise>>),
+    /// A step failed, so the state is inconsistent.
+    Failed,
+}
+
+/// Error of generating a frame in a session.
+#[derive(Debug, thiserror::Error)]
+pub enum SessionError {
+    /// Error of rendering the network input.
+    #[error(transparent)]
+    Conditions(#[from] ConditionerError),
+    /// Error of getting ground-truth images.
+    #[error(transparent)]
+    Truth(#[from] GroundTruthError),
+    /// Error of the codec.
+    #[error(transparent)]
+    Codec(#[from] DenoiserError),
+    /// Error of the generator or the network.
+    #[error(transparent)]
+    Generate(#[from] GenerateError),
+    /// A previous step failed.
+    #[error("expected a generator that works, found one that has failed")]
+    Failed,
+    /// The rollout cannot be resumed because something is missing.
+    #[error("expected {expected} to go on with, found {found}")]
+    Resume {
+        /// Needed input.
+        expected: String,
+        /// Given input.
+        found: String,
+    },
+}
+
+impl<'a> Session<'a> {
+    /// Starts a rollout.
+    ///
+    /// # Errors
+    /// Returns an error if the options are inconsistent, or if codec and network differ in latent shape.
+    pub fn new(parts: SessionParts<'a>, denoiser: AnyDenoiser) -> Result<Self, SessionError> {
+        parts.options.check()?;
+        let (takes, gives) = (denoiser.shape(), parts.codec.shape());
+        if takes != gives {
+            let expected = format!("a codec of latents of {takes}");
+            return Err(DenoiserError::Input { expected, found: gives.to_string() }.into());
+        }
+        let state = SessionState::Warm { denoiser, kept: Vec::new() };
+        Ok(Self { parts, state, before: None, times: GenerationTimes::default() })
+    }
+
+    /// Resumes a rollout after `frames` planning steps, before the first call of [`Session::step`]. `last`
+    /// are the last of these steps, as many as the window has frames or all if there are fewer. `cache` is
+    /// the cache after the last step, if frames were generated already.
+    ///
+    /// # Errors
+    /// Returns an error if the number of steps differs, or if the cache is missing or of another frame. Also
+    /// returns the errors of [`Session::step`].
+    pub fn resume(
+        &mut self,
+        frames: usize,
+        last: &[Committed<Instant>],
+        cache: Option<Cache>,
+        renderer: &mut Renderer<'_>,
+    ) -> Result<(), SessionError> {
+        let wrong = |expected: String, found: String| SessionError::Resume { expected, found };
+        let (references, window) = (self.parts.options.references(), self.parts.options.window);
+        let needed = frames.min(window);
+        if last.len() != needed {
+            return Err(wrong(format!("the last {needed} plan steps"), last.len().to_string()));
+        }
+        let begun = frames > references;
+        let first = usize::from(begun);
+        self.before = last.first().filter(|_| begun).map(|before| before.get().ego.pose);
+        let mut shown = Vec::new();
+        for instant in &last[first..] {
+            let drawn = self.draw(instant.as_ref(), renderer)?;
+            if !begun {
+                self.keep(&drawn)?;
+            }
+            shown.push(drawn.map(|drawn| drawn.conditions));
+        }
+        if !begun {
+            return Ok(());
+        }
+        let cache = cache.ok_or_else(|| wrong("the cache of the generator".to_owned(), "none".to_owned()))?;
+        if cache.next != frames {
+            let found = format!("one behind frame {}", cache.next);
+            return Err(wrong(format!("a cache behind frame {frames}"), found));
+        }
+        let SessionState::Warm { denoiser, .. } = std::mem::replace(&mut self.state, SessionState::Failed)
+        else {
+            return Err(SessionError::Failed);
+        };
+        let noise = GaussianNoise { seed: self.parts.seed };
+        let generator = Generator::resume(denoiser, noise, self.parts.options, cache, shown)?;
+        self.state = SessionState::Going(Box::new(generator));
+        Ok(())
+    }
+
+    /// Generates the frame of the last committed instant; `None` between planning steps.
+    ///
+    /// # Errors
+    /// Returns an error if the device, the files of the log, the codec or the network fail. All further steps
+    /// then fail; resume in a new session with [`Session::resume`].
+    pub fn step(
+        &mut self,
+        simulation: &Simulation<'_>,
+        renderer: &mut Renderer<'_>,
+    ) -> Result<Option<StepImages>, SessionError> {
+        if matches!(self.state, SessionState::Failed) {
+            return Err(SessionError::Failed);
+        }
+        if !simulation.committed().get().step.is_multiple_of(simulation.steps_per_plan()) {
+            return Ok(None);
+        }
+        let made = self.make(simulation, renderer);
+        if made.is_err() {
+            self.state = SessionState::Failed;
+        }
+        made.map(Some)
+    }
+
+    fn make(
+        &mut self,
+        simulation: &Simulation<'_>,
+        renderer: &mut Renderer<'_>,
+    ) -> Result<StepImages, SessionError> {
+        let mut clock = Clock::now();
+        let mut times = GenerationTimes::default();
+        let drawn = self.draw(simulation.committed(), renderer)?;
+        times.conditions_s = lap(&mut clock);
+        let references = self.parts.options.references();
+        if matches!(&self.state, SessionState::Warm { kept, .. } if kept.len() < references) {
+            let images = self.keep(&drawn)?;
+            times.truth_s = lap(&mut clock);
+            self.times = times;
+            let truth = self.has_truth().then(|| images.clone());
+            return Ok(StepImages { is_reference: true, images, truth });
+        }
+        let truth = self.has_truth().then(|| self.truth(drawn.get())).transpose()?;
+        times.truth_s = lap(&mut clock);
+        let count = self.parts.options.forecasts();
+        let forecasts = self.parts.conditioner.forecasts(simulation, count, renderer)?;
+        times.forecasts_s = lap(&mut clock);
+        let conditions = drawn.map(|drawn| drawn.conditions);
+        let latent = self.generator()?.step(conditions.clone(), &forecasts)?;
+        times.network_s = lap(&mut clock);
+        let images = self.parts.codec.decode(&latent, conditions.get())?;
+        times.decode_s = lap(&mut clock);
+        self.times = times;
+        Ok(StepImages { is_reference: false, images, truth })
+    }
+
+    /// State for the next step, once frames are generated.
+    pub fn cache(&self) -> Option<&Cache> {
+        match &self.state {
+            SessionState::Going(generator) => Some(generator.cache()),
+            SessionState::Warm { .. } | SessionState::Failed => None,
+        }
+    }
+
+    /// Returns whether every step has ground-truth images.
+    pub fn has_truth(&self) -> bool {
+        let SessionParts { truth, ego_follows_log, actors_follow_log, .. } = &self.parts;
+        truth.are_known(*ego_follows_log, *actors_follow_log)
+    }
+
+    fn draw(
+        &mut self,
+        instant: Committed<&Instant>,
+        renderer: &mut Renderer<'_>,
+    ) -> Result<Committed<RenderedConditions>, SessionError> {
+        let pose = instant.get().ego.pose;
+        let drawn = self.parts.conditioner.committed(instant, self.before, renderer)?;
+        self.before = Some(pose);
+        Ok(drawn)
+    }
+
+    /// Adds a step as a reference.
+    fn keep(&mut self, drawn: &Committed<RenderedConditions>) -> Result<Vec<RgbImage>, SessionError> {
+        let images = self.truth(drawn.get())?;
+        let latent = self.parts.codec.encode(&images)?;
+        if let SessionState::Warm { kept, .. } = &mut self.state {
+            kept.push((latent, drawn.clone().map(|drawn| drawn.conditions)));
+        }
+        Ok(images)
+    }
+
+    fn truth(&self, drawn: &RenderedConditions) -> Result<Vec<RgbImage>, SessionError> {
+        let SessionParts { truth, conditioner, size, actors_follow_log, .. } = &self.parts;
+        let view = |view: &point_skeleton::geometry::View| conditioner.options().drawn_view(view);
+        Ok(truth.of(&drawn.state, view, *size, *actors_follow_log)?)
+    }
+
+    /// Returns the generator; creates it when the references are complete.
+    fn generator(&mut self) -> Result<&mut Generator<AnyDenoiser, GaussianNoise>, SessionError> {
+        if let SessionState::Warm { .. } = self.state
+            && let SessionState::Warm { denoiser, kept } =
+                std::mem::replace(&mut self.state, SessionState::Failed)
+        {
+            let noise = GaussianNoise { seed: self.parts.seed };
+            let generator = Generator::new(denoiser, noise, self.parts.options, kept)?;
+            self.state = SessionState::Going(Box::new(generator));
+        }
+        match &mut self.state {
+            SessionState::Going(generator) => Ok(generator),
+            SessionState::Warm { .. } | SessionState::Failed => Err(SessionError::Failed),
+        }
+    }
+}
+
+impl ImageGenerator for Session<'_> {
+    fn generate(
+        &mut self,
+        simulation: &Simulation<'_>,
+        renderer: &mut Renderer<'_>,
+    ) -> Result<Option<StepImages>, AnyError> {
+        Ok(self.step(simulation, renderer)?)
+    }
+
+    fn times(&self) -> GenerationTimes {
+        self.times
+    }
+
+    fn save(&self) -> Result<Option<Vec<u8>>, AnyError> {
+        Ok(self.cache().map(Cache::to_bytes).transpose()?)
+    }
+
+    fn resume(
+        &mut self,
+        frames: usize,
+        last: &[Committed<Instant>],
+        saved: Option<&[u8]>,
+        renderer: &mut Renderer<'_>,
+    ) -> Result<(), AnyError> {
+        let cache = saved.map(Cache::from_bytes).transpose()?;
+        Ok(self.resume(frames, last, cache, renderer)?)
+    }
+
+    fn window(&self) -> usize {
+        self.parts.options.window
+    }
+
+    fn has_truth(&self) -> bool {
+        self.has_truth()
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,99 @@
+use std::path::PathBuf;
+
+use clap::Args;
+use clap::builder::{PathBufValueParser, TypedValueParser};
+use point_skeleton::Log;
+use point_skeleton::dataset::{
+    DatasetError, ImageDistortion, LogLocator, LogOpener, MissingData, ReadOptions, Recording, RingMeaning,
+};
+#[cfg(feature = "network")]
+use point_skeleton::files::Inputs;
+use point_skeleton::files::resolved_output;
+
+use super::choices;
+use crate::{logs, warn};
+
+/// Locations of the parts of a data set.
+#[derive(Clone, Debug, Default, Args)]
+pub(crate) struct LogRoots {
+    /// Folder of sweeps and images, if not in the data set's usual place
+    #[arg(long, value_name = "DIR")]
+    sensor_root: Option<PathBuf>,
+    /// Folder of maps, if not in the data set's usual place
+    #[arg(long, value_name = "DIR")]
+    map_root: Option<PathBuf>,
+    /// Also read files outside the data set's folder that it names by absolute paths or by paths with "..":
+    /// only for data sets from trusted sources
+    #[arg(long)]
+    allow_outside: bool,
+    /// Missing and damaged parts of the log (files, records, boxes without a size): skip and count them, or
+    /// fail with the first
+    #[arg(long, value_parser = choices::MISSING_DATA, default_value = "skip")]
+    missing: MissingData,
+    /// What the ring numbers of sweeps are. Points of other LiDARs than number 0 on moving actors are dropped
+    #[arg(long, value_name = "MEANING", value_parser = choices::RING_MEANING, default_value = "auto")]
+    ring_is: RingMeaning,
+    /// Whether recorded images have the lens distortion that the calibration states
+    #[arg(long, value_name = "HOW", value_parser = choices::IMAGE_DISTORTION, default_value = "usual")]
+    image_distortion: ImageDistortion,
+}
+
+/// Argument parser for the name of a log.
+pub(crate) fn log(text: &str) -> Result<LogLocator, DatasetError> {
+    logs::locate(text)
+}
+
+/// Argument parser for an output folder.
+pub(crate) fn output_folder() -> impl TypedValueParser<Value = PathBuf> {
+    PathBufValueParser::new().map(resolved_output)
+}
+
+/// Checks that no log is given twice.
+#[cfg(feature = "network")]
+pub(crate) fn check_once(logs: &[LogLocator]) -> Result<(), crate::WrongUsage> {
+    use crate::WrongUsage;
+    match logs.iter().enumerate().find(|(place, log)| logs[..*place].contains(log)) {
+        None => Ok(()),
+        Some((_, log)) => Err(WrongUsage(format!("expected each log once, found {log} again"))),
+    }
+}
+
+impl LogRoots {
+    /// Adds these folders, the permission for outside files and the policy for gaps to the name of a log.
+    pub(crate) fn locate(&self, log: &LogLocator) -> LogLocator {
+        let (sensor_root, map_root) = (self.sensor_root.clone(), self.map_root.clone());
+        let reading =
+            ReadOptions { rings: self.ring_is, distortion: self.image_distortion, missing: self.missing };
+        LogLocator { sensor_root, map_root, allow_outside: self.allow_outside, reading, ..log.clone() }
+    }
+
+    /// Returns everything that logs are read from.
+    #[cfg(feature = "network")]
+    pub(crate) fn inputs(&self, logs: &[LogLocator]) -> Inputs {
+        let logs: Vec<LogLocator> = logs.iter().map(|log| self.locate(log)).collect();
+        Inputs::new(logs.iter().flat_map(LogLocator::inputs))
+    }
+
+    /// Opens a log, and warns if parts of it are missing.
+    pub(crate) fn open(&self, log: &LogLocator) -> Result<Log, DatasetError> {
+        self.open_by(log, &LogOpener::new())
+    }
+
+    /// Opens a log by an opener that may have read tables of it, and warns if parts of it are missing.
+    pub(crate) fn open_by(&self, log: &LogLocator, opener: &LogOpener) -> Result<Log, DatasetError> {
+        let log = logs::open_by(&self.locate(log), opener)?;
+        warn_of_gaps(log.recording());
+        Ok(log)
+    }
+}
+
+/// Warns if parts of a log are missing.
+pub(crate) fn warn_of_gaps(log: &Recording) {
+    if let Some(first) = log.gaps.first() {
+        let more = match log.gaps.len() - 1 {
+            0 => String::new(),
+            further => format!("; {further} further gaps (`pskel info` names them)"),
+        };
+        warn(&format!("log {} is incomplete: {first}{more}", log.shown_name()));
+    }
+}

@@ -1,0 +1,157 @@
+//! Parsers of numeric arguments, with their valid ranges.
+
+use std::fmt;
+use std::str::FromStr;
+
+use point_skeleton::skeleton::CHUNK_M;
+
+/// Half-open, non-empty range of frames `A..B`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct FrameRange {
+    first: usize,
+    end: usize,
+}
+
+impl FrameRange {
+    /// Resolves an optional range for a log of `frames` frames; the default is all frames.
+    pub(crate) fn of(range: Option<Self>, frames: usize) -> anyhow::Result<std::ops::Range<usize>> {
+        let Some(range) = range else { return Ok(0..frames) };
+        anyhow::ensure!(range.end <= frames, "expected --frames within 0..{frames}, found {range}");
+        Ok(range.first..range.end)
+    }
+
+    /// Returns the range, for logs of any length.
+    pub(crate) fn of_any(self) -> std::ops::Range<usize> {
+        self.first..self.end
+    }
+}
+
+impl fmt::Display for FrameRange {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}..{}", self.first, self.end)
+    }
+}
+
+impl FromStr for FrameRange {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let number = |text: &str| text.trim().parse::<usize>().ok();
+        let ends = text.split_once("..").and_then(|(a, b)| Some((number(a)?, number(b)?)));
+        match ends {
+            Some((first, end)) if first < end => Ok(Self { first, end }),
+            _ => Err("expected frames A..B with A < B (B is not among them)".to_owned()),
+        }
+    }
+}
+
+/// Parses a voxel size: 0, or a side that 21 bits can count within a chunk and that is not larger than a
+/// chunk.
+pub(crate) fn voxel_m(text: &str) -> Result<f64, String> {
+    finite(text).filter(|v| *v == 0.0 || (1e-4..=CHUNK_M).contains(v)).ok_or_else(|| {
+        format!("expected meters, 0 (keeps all points) or at least 0.0001 and at most {CHUNK_M}")
+    })
+}
+
+/// Parses a distance of zero or more meters.
+pub(crate) fn margin_m(text: &str) -> Result<f64, String> {
+    finite(text).filter(|v| *v >= 0.0).ok_or_else(|| "expected meters, 0 or more".into())
+}
+
+/// Parses a number of 0 or more.
+#[cfg(feature = "network")]
+pub(crate) fn non_negative(text: &str) -> Result<f64, String> {
+    finite(text).filter(|v| *v >= 0.0).ok_or_else(|| "expected a number, 0 or more".into())
+}
+
+/// Parses a share from 0 to 1.
+pub(crate) fn share(text: &str) -> Result<f64, String> {
+    finite(text).filter(|v| (0.0..=1.0).contains(v)).ok_or_else(|| "expected a share from 0 to 1".into())
+}
+
+/// Parses a distance of more than zero meters that is also finite as `f32`.
+pub(crate) fn distance_m(text: &str) -> Result<f64, String> {
+    let fits = |v: &f64| *v as f32 > 0.0 && (*v as f32).is_finite();
+    finite(text).filter(fits).ok_or_else(|| "expected meters, more than 0".into())
+}
+
+/// Parses a rate of 0.1 to 100 per second.
+pub(crate) fn rate_hz(text: &str) -> Result<f64, String> {
+    finite(text)
+        .filter(|hz| (0.1..=100.0).contains(hz))
+        .ok_or_else(|| "expected a rate of 0.1 to 100 a second".into())
+}
+
+/// Parses a number of forecast steps, 1 to 100: all maps of a forecast are in memory at the same time.
+pub(crate) fn forecast_steps(text: &str) -> Result<usize, String> {
+    let count = text.trim().parse().ok().filter(|count| (1..=100).contains(count));
+    count.ok_or_else(|| "expected 1 to 100 plan steps".into())
+}
+
+/// Parses a number of points: an integer, also like `4e6`, up to the maximum of one job.
+pub(crate) fn points(text: &str) -> Result<usize, String> {
+    const MOST: u32 = u32::MAX - 1;
+    finite(text)
+        .filter(|n| n.fract() == 0.0 && (1.0..=f64::from(MOST)).contains(n))
+        .map(|n| n as usize)
+        .ok_or_else(|| format!("expected 1 to {MOST} points, like 4000000 or 4e6"))
+}
+
+pub(crate) fn finite(text: &str) -> Option<f64> {
+    text.trim().parse().ok().filter(|v: &f64| v.is_finite())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn frame_ranges() {
+        let range: FrameRange = "2..5".parse().unwrap();
+        assert_eq!(FrameRange::of(Some(range), 5).unwrap(), 2..5);
+        assert_eq!(FrameRange::of(None, 5).unwrap(), 0..5);
+        let message = FrameRange::of(Some(range), 4).unwrap_err().to_string();
+        assert!(message.contains("0..4, found 2..5"), "{message}");
+        for text in ["", "3", "5..2", "2..2", "..3", "1..", "-1..3", "1..x"] {
+            assert!(text.parse::<FrameRange>().is_err(), "{text}");
+        }
+    }
+
+    #[test]
+    fn lengths() {
+        assert_eq!([voxel_m("0"), voxel_m("0.0001")], [Ok(0.0), Ok(1e-4)]);
+        for text in ["0.00001", "-1", "NaN", "inf", "x", ""] {
+            assert!(voxel_m(text).is_err(), "{text}");
+        }
+        assert!(margin_m("0").is_ok() && margin_m("-0.1").is_err() && margin_m("NaN").is_err());
+        assert!(distance_m("0").is_err() && distance_m("1e300").is_err() && distance_m("50").is_ok());
+    }
+
+    #[test]
+    fn factors_and_waits() {}
+
+    #[test]
+    fn rates() {
+        assert_eq!([rate_hz("6"), rate_hz("0.1"), rate_hz("100")], [Ok(6.0), Ok(0.1), Ok(100.0)]);
+        for text in ["0", "0.09", "100.1", "-6", "NaN", "inf", "x", ""] {
+            assert!(rate_hz(text).unwrap_err().contains("0.1 to 100"), "{text}");
+        }
+    }
+
+    #[test]
+    fn forecasts_have_a_limit() {
+        assert_eq!([forecast_steps("1"), forecast_steps("100")], [Ok(1), Ok(100)]);
+        for text in ["0", "101", "-1", "1e9", "99999999999999999999", "2.5", ""] {
+            assert!(forecast_steps(text).unwrap_err().contains("1 to 100 plan steps"), "{text}");
+        }
+    }
+
+    #[test]
+    fn numbers_of_points() {
+        assert_eq!([points("4000000"), points("4e6"), points("1")], [Ok(4_000_000), Ok(4_000_000), Ok(1)]);
+        assert_eq!(points("4294967294"), Ok(4_294_967_294));
+        for text in ["0", "-4", "4.5", "4294967295", "1e30", "NaN", "x", ""] {
+            assert!(points(text).unwrap_err().contains("1 to 4294967294 points"), "{text}");
+        }
+    }
+}

@@ -1,0 +1,36 @@
+//! Output files of a command, opened together before any work.
+
+use std::path::Path;
+
+use point_skeleton::files::{FileKind, Inputs, OutputFile, is_one_file};
+
+use crate::WrongUsage;
+
+/// An option with the file to write, if it is given.
+pub(crate) type FileOption<'a> = (&'static str, Option<&'a Path>, FileKind);
+
+/// Opens the files of options, in order. `folder` is the output folder of the same run, if it has one.
+///
+/// # Errors
+/// Fails if two options name one file, if a file is in `folder`, or as [`OutputFile::open`].
+pub(crate) fn open<const N: usize>(
+    options: [FileOption<'_>; N],
+    inputs: &Inputs,
+    folder: Option<&Path>,
+) -> anyhow::Result<[Option<OutputFile>; N]> {
+    let given: Vec<(&str, &Path)> =
+        options.iter().filter_map(|(name, path, _)| Some((*name, (*path)?))).collect();
+    for (place, (name, path)) in given.iter().enumerate() {
+        if let Some((other, _)) = given[..place].iter().find(|(_, other)| is_one_file(other, path)) {
+            let message = format!("expected two files for {other} and {name}, found {}", path.display());
+            return Err(WrongUsage(message).into());
+        }
+    }
+    let mut files = options.map(|_| None);
+    for (file, (_, path, kind)) in files.iter_mut().zip(options) {
+        let Some(path) = path else { continue };
+        folder.map_or(Ok(()), |folder| OutputFile::check_outside(path, folder))?;
+        *file = Some(OutputFile::open(path, kind, inputs)?);
+    }
+    Ok(files)
+}

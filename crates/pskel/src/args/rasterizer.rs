@@ -1,0 +1,56 @@
+use clap::Args;
+use point_skeleton::raster::{self, CloudSet, Rasterizer, RasterizerDesc, RasterizerKind};
+
+use crate::WrongUsage;
+
+/// Rasterizer options, shared by all commands that render.
+#[derive(Clone, Debug, Args)]
+pub(crate) struct RasterizerArgs {
+    /// Rasterizer: compute (Vulkan with 64-bit atomics), graphics (Vulkan graphics pipeline), cpu (threads
+    /// and vectors of the processor, needs no driver) or auto (cpu unless there is a GPU); all output the
+    /// same maps
+    #[arg(long, default_value_t, value_name = "KIND")]
+    pub(crate) rasterizer: RasterizerKind,
+    /// Vulkan device: index, UUID (GPU-..), PCI address (0000:65:00.0) or part of the name [default:
+    /// $PSKEL_DEVICE, else the fastest]
+    #[arg(long, value_name = "DEVICE")]
+    pub(crate) device: Option<String>,
+    /// Device memory for points, MiB, 20 bytes per point; with less, positions are streamed from the host
+    /// (compute only). At least 64 MiB and 4 bytes per point, or all points if they need less; keys and maps
+    /// need additional memory [default: as much as needed]
+    #[arg(long, value_name = "MIB")]
+    pub(crate) gpu_memory: Option<u32>,
+    /// Draw points that nearer ones hide too, to measure what skipping them is worth (cpu only)
+    #[arg(long)]
+    pub(crate) no_occlusion_culling: bool,
+}
+
+impl RasterizerArgs {
+    /// Creates the rasterizer and passes the clouds to it.
+    pub(crate) fn create<'a>(&self, clouds: CloudSet<'a>) -> anyhow::Result<Box<dyn Rasterizer + 'a>> {
+        Ok(raster::create(&self.desc()?, clouds)?)
+    }
+
+    /// Returns the parameters of the rasterizer.
+    pub(crate) fn desc(&self) -> Result<RasterizerDesc, WrongUsage> {
+        let kind = self.rasterizer;
+        let unfit = match (&self.device, self.gpu_memory) {
+            (Some(device), _) if kind == RasterizerKind::Cpu => {
+                Some(format!("--device with --rasterizer cpu, found {device:?}"))
+            }
+            (_, Some(mib)) if matches!(kind, RasterizerKind::Cpu | RasterizerKind::Graphics) => {
+                Some(format!("--gpu-memory with --rasterizer {kind}, found {mib}"))
+            }
+            _ if self.no_occlusion_culling && !matches!(kind, RasterizerKind::Cpu | RasterizerKind::Auto) => {
+                Some(format!("--no-occlusion-culling with --rasterizer {kind}"))
+            }
+            _ => None,
+        };
+        if let Some(unfit) = unfit {
+            return Err(WrongUsage(format!("expected no {unfit}")));
+        }
+        let memory_bytes = self.gpu_memory.map(|mib| u64::from(mib) << 20);
+        let (device, occlusion_culling) = (self.device.clone(), !self.no_occlusion_culling);
+        Ok(RasterizerDesc { kind, device, memory_bytes, occlusion_culling })
+    }
+}

@@ -1,0 +1,72 @@
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+use clap::Args;
+use point_skeleton::cloud::{self, PointFormat};
+use point_skeleton::error::FileError;
+use point_skeleton::files::Inputs;
+use point_skeleton::skeleton::Skeleton;
+
+use crate::args::{choices, log};
+use crate::{WrongUsage, say, tell_notes};
+
+/// Convert points: a skeleton to NPY or PLY files, or one such file to the other format
+///
+/// A skeleton becomes a folder with background, actors/TRACK and templates/KIND, floats Nx6 (x y z r g b),
+/// and origins.json, which holds the origin of the background's coordinates and the file of each track.
+#[derive(Debug, Args)]
+pub(crate) struct ConvertArgs {
+    /// Skeleton folder, or a file of points
+    #[arg(value_name = "SKEL|P.npy|P.ply")]
+    input: PathBuf,
+    /// Folder or file to write
+    #[arg(long, value_name = "PATH", value_parser = log::output_folder())]
+    out: PathBuf,
+    /// Format to write [default: npy for a skeleton; for a file, the extension of --out]
+    #[arg(long, value_parser = choices::POINT_FORMAT)]
+    format: Option<PointFormat>,
+}
+
+/// Runs the command: reads and writes points.
+pub(crate) fn run(args: ConvertArgs) -> anyhow::Result<()> {
+    let start = Instant::now();
+    let what = if args.input.is_dir() {
+        convert_skeleton(&args.input, &args.out, args.format.unwrap_or(PointFormat::Npy))?
+    } else {
+        convert_file(&args)?
+    };
+    say(&format!("converted {what} in {:.2} s: {}", start.elapsed().as_secs_f64(), args.out.display()));
+    Ok(())
+}
+
+fn convert_skeleton(input: &Path, out: &Path, format: PointFormat) -> Result<String, FileError> {
+    let skeleton = Skeleton::open(input)?;
+    let notes = skeleton.export(out, format)?;
+    tell_notes(input, &notes);
+    let manifest = &skeleton.manifest;
+    let (points, actors, templates) =
+        (manifest.background_points(), manifest.actors.len(), manifest.templates.len());
+    Ok(format!("{points} background points, {actors} actors, {templates} templates"))
+}
+
+fn convert_file(args: &ConvertArgs) -> anyhow::Result<String> {
+    let format = match (args.format, PointFormat::of(&args.out)) {
+        (None, None) => {
+            return Err(WrongUsage("expected --out ending in .npy or .ply, or --format".to_owned()).into());
+        }
+        (Some(format), Some(ending)) if format != ending => {
+            let message =
+                format!("expected --out ending in .{}, found .{}", format.extension(), ending.extension());
+            return Err(WrongUsage(message).into());
+        }
+        (format, ending) => format.or(ending).unwrap_or(PointFormat::Npy),
+    };
+    let out = format.open_files(&args.out, &Inputs::new([&args.input]))?;
+    let file = cloud::read(&args.input)?;
+    tell_notes(&args.input, &file.notes);
+    let origin = match out.write(&file)? {
+        Some(path) => format!(", relative to the origin in {}", path.display()),
+        None => String::new(),
+    };
+    Ok(format!("{} points{origin}", file.points.len()))
+}

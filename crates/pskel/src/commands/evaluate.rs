@@ -1,0 +1,88 @@
+//! `pskel evaluate`: scores generated images of rollouts against ground truth.
+
+use std::cell::RefCell;
+use std::path::PathBuf;
+use std::time::Instant;
+
+use clap::Args;
+use point_skeleton::files::Inputs;
+use pskel_eval::{EvaluateError, EvaluateOptions, SCORES, evaluate};
+
+use crate::args::outputs;
+use crate::progress::Progress;
+use crate::{WrongUsage, say, tell};
+
+/// Score the generated images of rollouts against ground truth
+///
+/// For each rollout of simulate --generator: PSNR, SSIM and sharpness by step with their drift, motion of
+/// moving actors, and the IoU of vehicles in class maps and in images. For all rollouts: means with 95 %
+/// confidence intervals over rollouts, and Fréchet distances of images and videos by a network of fixed
+/// random convolutions (not Inception, so not comparable with published FID and FVD). Reference images are
+/// not scored. Metrics whose ground truth or maps are missing are null.
+#[derive(Debug, Args)]
+pub(crate) struct EvaluateArgs {
+    /// Folders of rollouts with generated images
+    #[arg(required = true, value_name = "DIR")]
+    rollouts: Vec<PathBuf>,
+    /// Also write all numbers to this file
+    #[arg(long, value_name = "F.json")]
+    out: Option<PathBuf>,
+    /// Vehicle masks of a segmentor, in DIR/NNNNNN/CAM.png of any size, vehicles not 0; once for each
+    /// rollout, in order
+    #[arg(long, value_name = "DIR")]
+    masks: Vec<PathBuf>,
+    /// Train the patch classifier on ground-truth images and class maps of this rollout, may be repeated
+    /// [default: on the other half of the steps]
+    #[arg(long, value_name = "DIR")]
+    classifier_from: Vec<PathBuf>,
+    /// Compare with the ground-truth images of this rollout in the Fréchet distances, may be repeated
+    /// [default: those of the scored rollouts]
+    #[arg(long, value_name = "DIR")]
+    reference: Vec<PathBuf>,
+    /// Also compute a Fréchet distance of features of another network: NPY files of f32 or f64 [N, D], for
+    /// generated and for ground-truth images
+    #[arg(long, value_names = ["GEN.npy", "TRUE.npy"], num_args = 2)]
+    features: Vec<PathBuf>,
+    /// Score only every N-th frame: N - 1, 2 N - 1, .., those that `train --hold-out N` leaves out
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(2..))]
+    hold_out: Option<u16>,
+    /// Seed of the random convolutions and of the patch classifier
+    #[arg(long, default_value_t = 0)]
+    seed: u64,
+}
+
+/// Runs the command: scores the rollouts, prints and writes the report.
+pub(crate) fn run(args: &EvaluateArgs) -> anyhow::Result<()> {
+    let start = Instant::now();
+    let folders = [&args.rollouts, &args.masks, &args.classifier_from, &args.reference, &args.features];
+    let inputs = Inputs::new(folders.into_iter().flatten());
+    let [out] = outputs::open([("--out", args.out.as_deref(), SCORES)], &inputs, None)?;
+    let options = EvaluateOptions {
+        rollouts: args.rollouts.clone(),
+        masks: args.masks.clone(),
+        classifier_from: args.classifier_from.clone(),
+        references: args.reference.clone(),
+        features: args.features.clone().try_into().ok(),
+        hold_out: args.hold_out.map(usize::from),
+        seed: args.seed,
+        root: None,
+    };
+    let progress = RefCell::new(None);
+    let mut on_start = |steps| *progress.borrow_mut() = Some(Progress::new(steps));
+    let mut on_step = |name: &str| progress.borrow_mut().iter_mut().for_each(|progress| progress.step(name));
+    let report = evaluate(&options, &mut on_start, &mut on_step).map_err(|error| match &error {
+        EvaluateError::Masks { .. } => WrongUsage(error.to_string()).into(),
+        _ => anyhow::Error::new(error),
+    })?;
+    drop(progress);
+    // Printed before the file is written, which may fail: the scores took long.
+    say(report.table().trim_end());
+    for note in report.notes() {
+        tell(&format!("note: {note}"));
+    }
+    out.as_ref().map_or(Ok(()), |out| out.write_json(&report))?;
+    let seconds = start.elapsed().as_secs_f64();
+    let out = out.map_or(String::new(), |out| format!(": {}", out.path().display()));
+    say(&format!("{} in {seconds:.2} s{out}", report.summary()));
+    Ok(())
+}

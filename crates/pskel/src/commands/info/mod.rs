@@ -1,0 +1,107 @@
+use std::path::{Path, PathBuf};
+
+use anyhow::bail;
+use clap::Args;
+use point_skeleton::dataset::DatasetError;
+use point_skeleton::files::input::is_taken;
+use point_skeleton::skeleton::{Skeleton, TemplateLibrary};
+use serde_json::Value;
+
+use crate::args::log::LogRoots;
+use crate::logs;
+use crate::{WrongUsage, say};
+
+mod file;
+mod log;
+mod skeleton;
+mod templates;
+mod verify;
+
+pub(crate) use skeleton::dropped;
+
+/// Describe a log, a skeleton or a file, and report missing or damaged parts
+///
+/// Of a log, the tables are read completely; of sweeps and images, only sizes and headers, and the points of
+/// a few sweeps. Missing and damaged files are named, and the exit code is then 1.
+#[derive(Debug, Args)]
+pub(crate) struct InfoArgs {
+    /// [FORMAT:]PATH[@VERSION][#SCENE], a folder of a skeleton or of templates, or a file (.pcd.bin, .pcd, .feather,
+    /// .npy, .ply, .json cameras, JPEG, PNG)
+    #[arg(value_name = "LOG|SKELETON|FILE")]
+    target: String,
+    #[command(flatten)]
+    roots: LogRoots,
+    /// Print one JSON object instead of text
+    #[arg(long)]
+    json: bool,
+    /// Read all points of a skeleton or of templates and compare them with their checksums; fails if any
+    /// differ
+    #[arg(long)]
+    verify: bool,
+}
+
+/// Runs the command: describes the target. Missing and damaged files of a log are an error after the
+/// description, as are wrong checksums with --verify.
+pub(crate) fn run(args: InfoArgs) -> anyhow::Result<()> {
+    let verified = args.verify.then(|| verify::verify(&args.target)).transpose()?;
+    let (mut json, mut text) = describe(&args.target, &args.roots)?;
+    if let Some(verified) = &verified {
+        json["verified"] = verified.json();
+        text.push_str(&verified.text());
+    }
+    if args.json {
+        say(&serde_json::to_string_pretty(&json)?);
+    } else {
+        say(text.trim_end());
+    }
+    let damaged = log::damaged(&json);
+    anyhow::ensure!(
+        damaged == 0,
+        "expected every file of the log to exist and to be whole, found {damaged} that are not: {}",
+        args.target
+    );
+    verified.map_or(Ok(()), |verified| verified.result(&args.target))
+}
+
+fn describe(target: &str, roots: &LogRoots) -> anyhow::Result<(Value, String)> {
+    let path = PathBuf::from(target);
+    if Skeleton::is_at(&path) {
+        let skeleton = Skeleton::open(&path)?;
+        return Ok((skeleton::describe(&skeleton), skeleton::text(&skeleton)));
+    }
+    if TemplateLibrary::is_at(&path) {
+        let library = TemplateLibrary::open(&path)?;
+        return Ok((templates::describe(&library, &path), templates::text(&library, &path)));
+    }
+    match logs::locate(target) {
+        Ok(locator) => {
+            let log = logs::open(&roots.locate(&locator))?;
+            let json = log::describe(&log)?;
+            return Ok((json.clone(), log::text(&json)));
+        }
+        // Another file or folder.
+        Err(DatasetError::Locator { .. }) if path.exists() || !target.contains(':') => {}
+        Err(error) => return Err(WrongUsage(error.to_string()).into()),
+    }
+    if is_taken(&path) && !path.is_dir() {
+        let json = file::describe(&path)?;
+        return Ok((json.clone(), as_lines(&json)));
+    }
+    let found = what_is_there(&path);
+    bail!(
+        "expected a log (its path, or FORMAT:PATH, like nuscenes:PATH or town:), a skeleton's folder or a file, found {found}: {target}"
+    )
+}
+
+fn what_is_there(path: &Path) -> &'static str {
+    if path.is_dir() { "another folder" } else { "nothing" }
+}
+
+/// Formats an object as aligned lines `key value`.
+fn as_lines(json: &Value) -> String {
+    let line = |(key, value): (&String, &Value)| match value {
+        Value::String(text) => format!("{key:<12} {text}\n"),
+        other => format!("{key:<12} {other}\n"),
+    };
+    json.as_object().map(|object| object.iter().map(line).collect()).unwrap_or_default()
+}

@@ -1,0 +1,24 @@
+//! The subcommands of `pskel`, one module each.
+
+#[cfg(feature = "network")]
+pub(super) mod ablate;
+pub(super) mod bench;
+pub(super) mod build;
+pub(super) mod convert;
+pub(super) mod evaluate;
+pub(super) mod export;
+#[cfg(feature = "town")]
+pub(super) mod fidelity;
+#[cfg(feature = "network")]
+pub(super) mod generate;
+pub(super) mod info;
+#[cfg(feature = "network")]
+pub(super) mod protocol;
+pub(super) mod render;
+pub(super) mod simulate;
+pub(super) mod splat;
+pub(super) mod templates;
+#[cfg(feature = "town")]
+pub(super) mod town;
+#[cfg(feature = "network")]
+pub(super) mod train;

@@ -1,0 +1,148 @@
+use std::path::PathBuf;
+
+use clap::Args;
+use point_skeleton::conditions::{ConditionOptions, MapFormat, MapSet};
+use point_skeleton::dataset::{LogLocator, Recording};
+use point_skeleton::files::Inputs;
+use point_skeleton::scene::{EgoOffset, LogTimes, SelectionOptions, SubstituteReport};
+use serde::Serialize;
+
+use crate::WrongUsage;
+use crate::args::log::{self, LogRoots};
+use crate::args::maps::MapArgs;
+use crate::args::numbers::{self, FrameRange};
+use crate::args::rasterizer::RasterizerArgs;
+use crate::args::substitutes::SubstituteArgs;
+
+/// Render condition maps of a recording's frames from its skeleton: color, depth, class, instance, boxes, map
+///
+/// Writes FRAME/CAM/MAP.png or .exr, or FRAME/maps.npz or conditions.safetensors (arrays V,H,W(,3) named like
+/// the maps, points V,20,H,W and layout V,6,H,W of the tensor, cameras in the order of index.json);
+/// FRAME/meta.json with poses and intrinsics; FRAME/sheet.png, a contact sheet of all maps; finally
+/// index.json. FRAME is the six-digit frame number, or the time with --at and --hz.
+#[derive(Debug, Args)]
+pub(crate) struct RenderArgs {
+    /// Recording: FORMAT:PATH[@VERSION][#SCENE], like nuscenes:/data/nuscenes@v1.0-mini#scene-0061
+    #[arg(value_parser = log::log)]
+    pub(super) log: LogLocator,
+    #[command(flatten)]
+    pub(super) roots: LogRoots,
+    /// Skeleton that was built from the recording
+    #[arg(long, value_name = "SKEL")]
+    pub(super) skeleton: PathBuf,
+    /// Folder to write; frames of an earlier run in it are replaced one by one
+    #[arg(long, value_name = "DIR", value_parser = log::output_folder())]
+    pub(super) out: PathBuf,
+    /// Range of frames, numbered from 0 in log order, B excluded [default: all]
+    #[arg(long, value_name = "A..B")]
+    pub(super) frames: Option<FrameRange>,
+    /// Render at these times within the log instead of at frames, absolute microseconds; ego and actors are
+    /// interpolated
+    #[arg(long, value_name = "T_US,..", value_delimiter = ',', allow_hyphen_values = true)]
+    #[arg(conflicts_with = "frames")]
+    pub(super) at: Vec<i64>,
+    /// Render at this rate (0.1 to 100 per second) from the first to the last of the frames; ego and actors
+    /// are interpolated
+    #[arg(long, value_name = "F", value_parser = numbers::rate_hz, allow_negative_numbers = true)]
+    #[arg(conflicts_with = "at")]
+    pub(super) hz: Option<f64>,
+    #[command(flatten)]
+    pub(super) maps: MapArgs,
+    /// Also write FRAME/birdseye.png: bird's-eye view of 100 x 100 m around the ego, with HD map, boxes and
+    /// cameras
+    #[arg(long)]
+    pub(super) birdseye: bool,
+    /// Move the ego in its own frame, like forward_m=1,left_m=-2,yaw_deg=5: meters forward and to the left,
+    /// degrees to the left
+    #[arg(long, value_name = "left_m=M,..")]
+    #[arg(conflicts_with = "cameras")]
+    pub(super) ego_offset: Option<EgoOffset>,
+    /// Use these cameras instead of the log's, posed in the log's global frame:
+    /// {"cameras": [{"name", "width", "height", "intrinsics": 3x3, "camera_from_world": 4x4}]}
+    #[arg(long, value_name = "C.json")]
+    pub(super) cameras: Option<PathBuf>,
+    /// Render with the lens distortion of the recorded cameras; every pixel is the nearest one of a pinhole
+    /// image [default: pinhole cameras]
+    #[arg(long, conflicts_with = "cameras")]
+    pub(super) distort: bool,
+    /// Annotations for the prompt in meta.json: {"weather": "Sunny", "city": "Boston"}, both optional
+    #[arg(long, value_name = "F.json")]
+    pub(super) annotations: Option<PathBuf>,
+    #[command(flatten)]
+    pub(super) stand_ins: SubstituteArgs,
+    #[command(flatten)]
+    pub(super) rasterizer: RasterizerArgs,
+}
+
+/// Rendering options in `index.json`.
+#[derive(Clone, Debug, Serialize)]
+pub(super) struct RenderOptions {
+    #[serde(flatten)]
+    pub(super) conditions: ConditionOptions,
+    #[serde(flatten)]
+    pub(super) selection: SelectionOptions,
+    /// Times per second, unless frames were rendered.
+    hz: Option<f64>,
+    #[serde(flatten)]
+    stand_ins: SubstituteReport,
+    ego_offset: EgoOffset,
+    /// `true` if maps have lens distortion.
+    distort: bool,
+    /// File of other cameras.
+    cameras: Option<PathBuf>,
+    format: MapFormat,
+    birdseye: bool,
+}
+
+impl RenderArgs {
+    /// Rejects tensors in image formats, and filters by area with distortion, since distorted maps do not
+    /// record which pixels were empty.
+    pub(super) fn check(&self) -> Result<(), WrongUsage> {
+        if self.distort && self.maps.color_filter.needs_depth() {
+            let message = "expected --color-filter bilinear with --distort, found a filter by area";
+            return Err(WrongUsage(message.to_owned()));
+        }
+        self.maps.check()
+    }
+
+    /// Returns everything that is read.
+    pub(super) fn inputs(&self) -> Inputs {
+        let files = [&self.cameras, &self.annotations].into_iter().flatten();
+        let log = self.roots.locate(&self.log);
+        Inputs::new(log.inputs()).and([&self.skeleton]).and(files).and(self.stand_ins.inputs())
+    }
+
+    /// Returns the maps to render of a log with or without an HD map; `None` if the HD map is requested but
+    /// missing.
+    pub(super) fn maps(&self, has_map: bool) -> Option<MapSet> {
+        self.maps.kinds(has_map)
+    }
+
+    /// Returns whether the output uses the log's HD map.
+    pub(super) fn wants_map(&self) -> bool {
+        self.birdseye || self.maps.wants_map()
+    }
+
+    /// Returns the times of the log to render.
+    pub(super) fn times(&self, log: &Recording) -> anyhow::Result<LogTimes> {
+        if !self.at.is_empty() {
+            return Ok(LogTimes::At(self.at.clone()));
+        }
+        let frames = FrameRange::of(self.frames, log.frames.len())?;
+        Ok(self.hz.map_or(LogTimes::Frames(frames.clone()), |hz| LogTimes::Rate(frames, hz)))
+    }
+
+    pub(super) fn options(&self, maps: MapSet, stand_ins: SubstituteReport) -> RenderOptions {
+        RenderOptions {
+            conditions: self.maps.conditions(maps),
+            selection: self.maps.selection(),
+            hz: self.hz,
+            stand_ins,
+            ego_offset: self.ego_offset.unwrap_or_default(),
+            distort: self.distort,
+            cameras: self.cameras.clone(),
+            format: self.maps.format,
+            birdseye: self.birdseye,
+        }
+    }
+}

@@ -1,0 +1,119 @@
+//! `pskel render`: [`args`] defines the options.
+
+mod args;
+
+pub(crate) use args::RenderArgs;
+
+use std::collections::BTreeMap;
+use std::time::Instant;
+
+use anyhow::Context;
+use point_skeleton::cloud;
+use point_skeleton::conditions::write::meta::{IndexFrame, PromptParts};
+use point_skeleton::files::OutputFolder;
+use point_skeleton::raster::Rasterizer;
+use point_skeleton::scene::{SceneSequence, SequenceError, frame_rate_hz};
+use point_skeleton::sequence::SequenceWriter;
+use point_skeleton::{RenderOptions, Renderer};
+
+use crate::args::skeletons;
+use crate::progress::Progress;
+use crate::{WrongUsage, say, warn};
+
+/// Runs the command: opens the inputs, renders and writes the maps.
+pub(crate) fn run(args: RenderArgs) -> anyhow::Result<()> {
+    let start = Instant::now();
+    args.check()?;
+    let source = args.roots.open(&args.log)?;
+    let log = source.recording();
+    for (note, count) in log.notes.iter().filter(|(note, _)| note.contains("camera_distortion")) {
+        warn(&format!("{count} {note}"));
+    }
+    if args.distort && log.rig.iter().all(|rig| rig.camera.distortion.is_none()) {
+        warn(&format!("--distort changes nothing: log {} states no lens distortion", log.shown_name()));
+    }
+    let skeleton = skeletons::open_for(&args.skeleton, log)?;
+    let views = args.cameras.as_deref().map(cloud::cameras::read).transpose()?;
+    let prompt = args.annotations.as_deref().map_or(Ok(PromptParts::default()), PromptParts::read)?;
+    let map = if args.wants_map() { source.require_map()? } else { None };
+    let maps = args.maps(map.is_some()).with_context(|| {
+        format!(
+            "expected an HD map of {:?} for --maps map, found none in log {}",
+            log.location,
+            log.shown_name()
+        )
+    })?;
+    let offset = args.ego_offset.unwrap_or_default();
+    let states = SceneSequence::new(log, args.times(log)?, offset, views, map).map_err(usage)?;
+    let (substitutes, substitute_report) = args.stand_ins.options().make(&skeleton, &log.name)?;
+    let options = args.options(maps, substitute_report);
+    let mut renderer = Renderer::new(
+        &skeleton,
+        RenderOptions {
+            conditions: options.conditions.clone(),
+            selection: options.selection,
+            rasterizer: args.rasterizer.desc()?,
+            substitutes: &substitutes,
+            log: Some(&log.name),
+            distort: args.distort,
+        },
+    )?;
+    let writer = SequenceWriter {
+        folder: OutputFolder::open(&args.out, "maps", &args.inputs())?,
+        format: args.maps.format,
+        bins: &options.conditions.depth_bins,
+        prompt: &prompt,
+        fps: args.hz.or_else(|| frame_rate_hz(&log.frames).filter(|_| args.at.is_empty())),
+        birdseye: args.birdseye,
+        log: &log.name,
+    };
+    let mut progress = Progress::new(states.len());
+    let frames = writer.write(&mut renderer, &states, &options, &mut |name| progress.step(name))?;
+    drop(progress);
+    let summary = summary(&frames, &states.missing_images(), renderer.rasterizer());
+    warn_of_times_outside(&frames, skeleton.manifest.times_us(&log.name));
+    say(&format!("{summary} in {:.2} s: {}", start.elapsed().as_secs_f64(), args.out.display()));
+    Ok(())
+}
+
+/// Converts invalid options into [`WrongUsage`], which has its own exit code.
+fn usage(error: SequenceError) -> anyhow::Error {
+    match error {
+        SequenceError::Twice { .. } => WrongUsage(error.to_string()).into(),
+        _ => error.into(),
+    }
+}
+
+/// Warns of times outside those that the skeleton was built from, where it may have few points.
+fn warn_of_times_outside(frames: &[IndexFrame], built_from: Option<[i64; 2]>) {
+    let Some([first, last]) = built_from else { return };
+    let outside: Vec<&str> =
+        frames.iter().filter(|f| !(first..=last).contains(&f.t_us)).map(|f| f.name.as_str()).collect();
+    if !outside.is_empty() {
+        let names = outside.join(", ");
+        warn(&format!("the skeleton was built from times {first} to {last}; outside of them lie: {names}"));
+    }
+}
+
+fn summary(
+    frames: &[IndexFrame],
+    missing: &BTreeMap<&str, usize>,
+    rasterizer: &mut dyn Rasterizer,
+) -> String {
+    let maps: usize = frames.iter().map(|f| f.cameras.len()).sum();
+    let missing = match missing.iter().map(|(name, count)| format!("{count} of {name}")).collect::<Vec<_>>() {
+        none if none.is_empty() => String::new(),
+        some => format!(" (images missing, drawn from the frame's own pose: {})", some.join(", ")),
+    };
+    let stages = rasterizer.take_stages().0;
+    let stages: Vec<String> =
+        stages.iter().map(|(name, time)| format!("{name} {:.2}", time.as_secs_f64())).collect();
+    let info = rasterizer.info();
+    format!(
+        "rendered {} frames, {maps} camera views{missing} by {} on {} (seconds: {})",
+        frames.len(),
+        info.rasterizer,
+        info.device,
+        stages.join(", ")
+    )
+}

@@ -1,0 +1,408 @@
+use std::path::PathBuf;
+use std::sync::Arc;
+
+use anyhow::Context;
+use clap::Args;
+#[cfg(feature = "mcap")]
+use point_skeleton::Log;
+use point_skeleton::conditions::MapFormat;
+use point_skeleton::conditions::write::meta::PromptParts;
+use point_skeleton::dataset::{LogLocator, LogOpener, MovedEgo};
+use point_skeleton::files::{Inputs as InputPaths, OutputFile};
+use point_skeleton::scene::{EgoOffset, SceneMap, frame_rate_hz};
+#[cfg(feature = "network")]
+use pskel_eval::protocol::ClipClock;
+#[cfg(feature = "mcap")]
+use pskel_sim::rollout::MCAP;
+use pskel_sim::rollout::{Profile, ResumeAfter};
+use pskel_sim::{ActorPolicy, EgoPolicy, LocalPath, PathAnchor, PlannerSpec, Scenario, SimOptions, Tracking};
+
+use super::generation::GenerationArgs;
+use super::inputs::Inputs;
+use super::policies::{ActorName, EgoName, PolicyArgs, TrackingName};
+use crate::args::log::{self, LogRoots};
+use crate::args::maps::MapArgs;
+use crate::args::numbers;
+use crate::args::rasterizer::RasterizerArgs;
+use crate::args::substitutes::SubstituteArgs;
+use crate::args::{outputs, skeletons};
+use crate::{WrongUsage, warn};
+
+/// Number of frames that a generator sees besides the current one.
+const FORECAST_STEPS: usize = 9;
+
+/// Simulate a recording in a closed loop: ego and other actors move by policies, and every step is rendered
+///
+/// Writes steps/STEP with the maps (as render writes a frame), birdseye.png, view/MAP.jpg (images of the
+/// page) and state.json (for --resume); states.jsonl, one line per step; finally metrics.json, index.json,
+/// rollout.mp4 and index.html, a page that plays the rollout. If a planner fails, all of these are written
+/// for the steps before the failure.
+#[derive(Debug, Args)]
+pub(crate) struct SimulateArgs {
+    /// Recording: FORMAT:PATH[@VERSION][#SCENE], like nuscenes:/data/nuscenes@v1.0-mini#scene-0061
+    #[arg(value_parser = log::log)]
+    pub(super) log: LogLocator,
+    #[command(flatten)]
+    pub(super) roots: LogRoots,
+    /// Skeleton that was built from the recording
+    #[arg(long, value_name = "SKEL")]
+    pub(super) skeleton: PathBuf,
+    /// Folder to write: a new or empty one, or an earlier rollout, which is replaced
+    #[arg(long, value_name = "DIR", value_parser = log::output_folder())]
+    pub(super) out: PathBuf,
+    /// Number of simulation steps; step 0 is the log's. A replayed ego stops when the log ends. With other
+    /// policies it drives on: only actors under a policy remain there, and the skeleton may have no points
+    #[arg(long, value_name = "N")]
+    pub(super) steps: usize,
+    #[command(flatten)]
+    policies: PolicyArgs,
+    #[command(flatten)]
+    pub(super) maps: MapArgs,
+    /// Also render the forecasts for the next planning steps at each planning step, as
+    /// steps/STEP/forecast/STEP
+    #[arg(long)]
+    forecast_maps: bool,
+    /// With --forecast-maps: number of forecast planning steps, 1 to 100
+    #[arg(long, value_name = "K", default_value_t = FORECAST_STEPS, value_parser = numbers::forecast_steps)]
+    #[arg(requires = "forecast_maps", allow_negative_numbers = true)]
+    forecast: usize,
+    /// Also write steps/STEP/sheet.png, a contact sheet of all maps
+    #[arg(long)]
+    pub(super) sheets: bool,
+    /// Continue the rollout in --out after its last step, with the same log, skeleton and options; --steps,
+    /// --planner-timeout, --generator-timeout, --mcap, --profile and the rasterizer may change
+    #[arg(long)]
+    pub(super) resume: bool,
+    /// Continue after this step; later ones are simulated again
+    #[arg(long, value_name = "STEP")]
+    pub(super) resume_from: Option<usize>,
+    /// Write nothing below --out and only print the times, to measure the loop without output
+    #[arg(long, conflicts_with_all = ["resume", "resume_from"])]
+    pub(super) dry: bool,
+    /// Also write the rollout to an MCAP file for Foxglove, Lichtblick and Rerun, after its last step:
+    /// images, poses, boxes, plans, events and metrics. Maps need --format png; with --dry there are no
+    /// images
+    #[cfg(feature = "mcap")]
+    #[arg(long, value_name = "F.mcap")]
+    pub(super) mcap: Option<PathBuf>,
+    /// Write the times of all steps and stages to this file
+    #[arg(long, value_name = "F.json")]
+    pub(super) profile: Option<PathBuf>,
+    /// Annotations for the prompt in meta.json: {"weather": "Sunny", "city": "Boston"}, both optional
+    #[arg(long, value_name = "F.json")]
+    pub(super) annotations: Option<PathBuf>,
+    #[command(flatten)]
+    pub(super) stand_ins: SubstituteArgs,
+    #[command(flatten)]
+    pub(super) rasterizer: RasterizerArgs,
+    #[command(flatten)]
+    pub(super) generation: GenerationArgs,
+    /// Set if steps are frames of the log, until its end at most; used by `pskel generate`.
+    #[arg(skip)]
+    frames: Option<EveryFrames>,
+    /// Displacement of the ego at all frames; used by `pskel generate`.
+    #[arg(skip)]
+    ego_offset: Option<EgoOffset>,
+    /// Whether the policies take over with the first generated frame, as in the paper; used by `pskel
+    /// protocol`.
+    #[arg(skip)]
+    least_warmup: bool,
+    /// Whether generated images replace those of a data set; used by `pskel generate`.
+    #[arg(skip)]
+    copies_dataset: bool,
+    /// Keeps the tables of a data set between its logs; used by `pskel protocol`.
+    #[arg(skip)]
+    opener: Arc<LogOpener>,
+}
+
+/// Files besides the output folder.
+pub(super) struct OutputFiles {
+    pub(super) profile: Option<OutputFile>,
+    #[cfg(feature = "mcap")]
+    pub(super) mcap: Option<OutputFile>,
+}
+
+/// Stride of the log's frames that are steps; `None` selects the default.
+#[derive(Clone, Copy, Debug)]
+struct EveryFrames(Option<usize>);
+
+/// Options for generating a clip of a log.
+#[cfg(feature = "network")]
+pub(crate) struct ClipArgs {
+    pub(crate) log: LogLocator,
+    pub(crate) roots: LogRoots,
+    pub(crate) skeleton: PathBuf,
+    pub(crate) out: PathBuf,
+    pub(crate) generation: GenerationArgs,
+    pub(crate) steps: usize,
+    /// `None` for the frames of the log, at the default stride.
+    pub(crate) clock: Option<ClipClock>,
+    pub(crate) ego: EgoName,
+    pub(crate) least_warmup: bool,
+    pub(crate) start: Option<i64>,
+    pub(crate) ego_offset: Option<EgoOffset>,
+    pub(crate) maps: MapArgs,
+    pub(crate) resume: bool,
+    pub(crate) resume_from: Option<usize>,
+    pub(crate) profile: Option<PathBuf>,
+    /// Whether generated images replace those of a data set.
+    pub(crate) copies_dataset: bool,
+    pub(crate) annotations: Option<PathBuf>,
+    pub(crate) stand_ins: SubstituteArgs,
+    pub(crate) rasterizer: RasterizerArgs,
+    pub(crate) opener: Arc<LogOpener>,
+}
+
+impl SimulateArgs {
+    #[cfg(feature = "network")]
+    /// Creates options for generating a clip of a log, whose other actors follow the log.
+    pub(crate) fn of_clip(clip: ClipArgs) -> Self {
+        let (frames, rates) = match clip.clock {
+            None => (Some(EveryFrames(None)), None),
+            Some(ClipClock::Frames(every)) => (Some(EveryFrames(Some(every))), None),
+            Some(ClipClock::Rates(rates)) => (None, Some(rates)),
+        };
+        let policies = PolicyArgs {
+            ego: clip.ego,
+            trajectory: None,
+            reanchor: false,
+            planner: None,
+            planner_timeout: 10.0,
+            tracking: TrackingName::Perfect,
+            actors: ActorName::Replay,
+            sim_hz: rates.map(|rates| rates.sim_hz),
+            plan_hz: rates.map(|rates| rates.plan_hz),
+            warmup: None,
+            start: clip.start,
+            seed: 0,
+        };
+        Self {
+            log: clip.log,
+            roots: clip.roots,
+            skeleton: clip.skeleton,
+            out: clip.out,
+            steps: clip.steps,
+            policies,
+            maps: clip.maps,
+            forecast_maps: false,
+            forecast: FORECAST_STEPS,
+            sheets: false,
+            resume: clip.resume,
+            resume_from: clip.resume_from,
+            dry: false,
+            #[cfg(feature = "mcap")]
+            mcap: None,
+            profile: clip.profile,
+            annotations: clip.annotations,
+            generation: clip.generation,
+            stand_ins: clip.stand_ins,
+            rasterizer: clip.rasterizer,
+            frames,
+            ego_offset: clip.ego_offset,
+            least_warmup: clip.least_warmup,
+            copies_dataset: clip.copies_dataset,
+            opener: clip.opener,
+        }
+    }
+
+    /// Checks options that the parser cannot check.
+    pub(super) fn check(&self) -> Result<(), WrongUsage> {
+        let PolicyArgs { ego, trajectory, reanchor, planner, .. } = &self.policies;
+        let unused = [
+            ("--trajectory", trajectory.is_some() && *ego != EgoName::File, "file"),
+            ("--reanchor", *reanchor && *ego != EgoName::File, "file"),
+            ("--planner", planner.is_some() && *ego != EgoName::External, "external"),
+        ];
+        if let Some((option, _, name)) = unused.into_iter().find(|(_, unused, _)| *unused) {
+            return Err(WrongUsage(format!("expected --ego {name} with {option}, found {}", ego.name())));
+        }
+        self.generation.check()?;
+        self.maps.check()
+    }
+
+    /// Returns a note if the MCAP file has no maps although they are written.
+    pub(super) fn note_on_maps(&self) -> Option<&'static str> {
+        #[cfg(feature = "mcap")]
+        if self.mcap.is_some() && !self.dry && self.maps.format != MapFormat::Png {
+            return Some("the file of --mcap has no maps, which are only copied with --format png");
+        }
+        None
+    }
+
+    /// Returns everything that is read.
+    pub(super) fn input_paths(&self) -> InputPaths {
+        let files = [self.annotations.as_deref(), self.policies.trajectory.as_deref()];
+        let log = self.roots.locate(&self.log);
+        InputPaths::new(log.inputs())
+            .and([&self.skeleton])
+            .and(files.into_iter().flatten())
+            .and(self.generation.inputs())
+            .and(self.stand_ins.inputs())
+    }
+
+    /// Opens the files besides the output folder that the command writes. `read` is everything that it reads.
+    pub(super) fn open_files(&self, read: &InputPaths) -> anyhow::Result<OutputFiles> {
+        let folder = (!self.dry).then_some(self.out.as_path());
+        let profile = ("--profile", self.profile.as_deref(), Profile::KIND);
+        #[cfg(feature = "mcap")]
+        {
+            let mcap = ("--mcap", self.mcap.as_deref(), MCAP);
+            let [profile, mcap] = outputs::open([profile, mcap], read, folder)?;
+            Ok(OutputFiles { profile, mcap })
+        }
+        #[cfg(not(feature = "mcap"))]
+        {
+            let [profile] = outputs::open([profile], read, folder)?;
+            Ok(OutputFiles { profile })
+        }
+    }
+
+    /// Reads the inputs.
+    pub(super) fn inputs(&self) -> anyhow::Result<Inputs> {
+        let mut source = self.roots.open_by(&self.log, &self.opener)?;
+        // The skeleton is of the recording, in which the ego has not moved.
+        let unmoved = self.ego_offset.map(|_| source.recording().clone());
+        if let Some(offset) = self.ego_offset {
+            let moved = MovedEgo::new(source.into_reader(), offset).with_context(|| {
+                format!(
+                    "expected a log town:.. with --ego-offset, whose images can be rendered there, found {}",
+                    self.log
+                )
+            })?;
+            source = Log::new(Box::new(moved));
+        }
+        let log = source.recording();
+        let skeleton = skeletons::open_for(&self.skeleton, unmoved.as_ref().unwrap_or(log))?;
+        let prompt = self.annotations.as_deref().map_or(Ok(PromptParts::default()), PromptParts::read)?;
+        let map = self.read_map(&source)?;
+        let maps = self.maps.kinds(map.is_some()).with_context(|| {
+            format!(
+                "expected an HD map of {:?} for --maps map, found none in log {}",
+                log.location,
+                log.shown_name()
+            )
+        })?;
+        Ok(Inputs { log: source, skeleton, prompt, map, maps })
+    }
+
+    /// Reads the HD map. A damaged one that is not drawn is an error only with `--missing error`.
+    fn read_map(&self, log: &Log) -> anyhow::Result<Option<Arc<SceneMap>>> {
+        let is_drawn = self.generation.generates() || !self.dry && self.maps.wants_map();
+        if is_drawn {
+            return Ok(log.require_map()?);
+        }
+        let map = log.optional_map()?;
+        if let Some(error) = log.map_error() {
+            warn(&format!("the HD map cannot be read, so metrics of the road are missing: {error}"));
+        }
+        Ok(map)
+    }
+
+    /// Returns the step after which to continue an earlier rollout.
+    pub(super) fn resume_after(&self) -> Option<ResumeAfter> {
+        let step = self.resume_from.map(ResumeAfter::Step);
+        step.or(self.resume.then_some(ResumeAfter::Last))
+    }
+
+    /// Returns the number of planning steps to forecast and render at each planning step.
+    pub(super) fn forecast_steps(&self) -> usize {
+        if self.forecast_maps { self.forecast } else { 0 }
+    }
+
+    /// Returns the stride of the frames that are steps, `None` if steps are not frames, and the number of
+    /// steps.
+    fn frames_of(&self, scenario: &Scenario<'_>) -> anyhow::Result<(Option<usize>, usize)> {
+        let Some(EveryFrames(every)) = self.frames else { return Ok((None, self.steps)) };
+        let frames = &scenario.log.frames;
+        let nearest = || {
+            let hz = frame_rate_hz(frames).unwrap_or(scenario.rates.plan_hz);
+            (hz / scenario.rates.plan_hz).round().max(1.0) as usize
+        };
+        let every = every.unwrap_or_else(nearest);
+        let start = self.policies.start.unwrap_or(i64::MIN);
+        let there = frames.iter().filter(|frame| frame.t_us >= start).count();
+        anyhow::ensure!(
+            there > every,
+            "expected more than {every} frames from --start on (--every {every}), found {there} in log {}",
+            scenario.log.shown_name()
+        );
+        Ok((Some(every), self.steps.min((there - 1) / every)))
+    }
+
+    /// Returns whether ego and other actors follow the log throughout.
+    pub(super) fn follow_log(&self) -> [bool; 2] {
+        [self.policies.ego == EgoName::Replay, matches!(self.policies.actors, ActorName::Replay)]
+    }
+
+    /// Returns whether steps are the log's own frames, as in `pskel generate`.
+    pub(super) fn is_open_loop(&self) -> bool {
+        self.frames.is_some()
+    }
+
+    /// Returns the number of frames of the warm-up: at least as many as a generator with this `window` has
+    /// references.
+    pub(super) fn warmup_frames(&self, window: Option<usize>) -> Result<usize, WrongUsage> {
+        let (given, least) = (self.policies.warmup, window.map_or(0, |window| window - 1));
+        if let Some(warmup) = given.filter(|warmup| *warmup < least) {
+            let message = format!(
+                "expected --warmup of {least} or more, the references of the generator, found {warmup}"
+            );
+            return Err(WrongUsage(message));
+        }
+        let default = if self.least_warmup { window.map(|window| window - 1) } else { window };
+        Ok(given.or(default).unwrap_or(SimOptions::default().warmup_frames))
+    }
+
+    /// Checks that there are steps after the references of a generator with this `window`, if their images
+    /// are needed.
+    pub(super) fn check_steps(&self, steps: usize, window: Option<usize>) -> Result<(), WrongUsage> {
+        let references = window.map_or(0, |window| window - 1);
+        if !self.copies_dataset || steps + 1 > references {
+            return Ok(());
+        }
+        let message = format!(
+            "expected {references} steps or more with --dataset, since the first {references} frames are references, found {steps}"
+        );
+        Err(WrongUsage(message))
+    }
+
+    /// Returns the simulation options except for the warm-up; reads the trajectory.
+    pub(super) fn sim_options(&self, scenario: &Scenario<'_>) -> anyhow::Result<SimOptions> {
+        let p = &self.policies;
+        let (every_frames, steps) = self.frames_of(scenario)?;
+        let ego = match (p.ego, &p.trajectory, &p.planner) {
+            (EgoName::Straight, ..) => EgoPolicy::Straight,
+            (EgoName::RightThenBack, ..) => EgoPolicy::RightThenBack,
+            (EgoName::Cosine, ..) => EgoPolicy::Cosine,
+            (EgoName::LaneChange, ..) => EgoPolicy::LaneChange,
+            (EgoName::File, Some(path), _) => {
+                let anchor = if p.reanchor { PathAnchor::EachPlan } else { PathAnchor::Takeover };
+                EgoPolicy::File(LocalPath::read(path)?, anchor)
+            }
+            (EgoName::External, _, Some(address)) => {
+                EgoPolicy::External(PlannerSpec { address: address.clone(), timeout_s: p.planner_timeout })
+            }
+            // The parser requires the arguments of File and External.
+            (EgoName::Replay | EgoName::File | EgoName::External, ..) => EgoPolicy::Replay,
+        };
+        Ok(SimOptions {
+            seed: p.seed,
+            steps,
+            sim_hz: p.sim_hz,
+            plan_hz: p.plan_hz,
+            every_frames,
+            start_us: p.start,
+            ego,
+            tracking: match p.tracking {
+                TrackingName::Perfect => Tracking::Perfect,
+                TrackingName::Bicycle => Tracking::Bicycle,
+            },
+            actors: match p.actors {
+                ActorName::Replay => ActorPolicy::Replay,
+                ActorName::Idm => ActorPolicy::Idm,
+                ActorName::Reactive => ActorPolicy::Reactive,
+            },
+            ..SimOptions::default()
+        })
+    }
+}

@@ -1,0 +1,56 @@
+use std::path::Path;
+
+use clap::Args;
+use point_skeleton::dataset::Recording;
+use pskel_sim::rollout::ImageGenerator;
+use serde_json::Value;
+
+use crate::WrongUsage;
+use crate::commands::simulate::inputs::Inputs;
+
+/// No options.
+#[derive(Debug, Args)]
+pub(crate) struct GenerationArgs {}
+
+/// There is no generator.
+pub(crate) enum Opened {}
+
+impl GenerationArgs {
+    pub(crate) fn generates(&self) -> bool {
+        false
+    }
+
+    pub(crate) fn check(&self) -> Result<(), WrongUsage> {
+        Ok(())
+    }
+
+    pub(crate) fn inputs(&self) -> impl Iterator<Item = &Path> {
+        std::iter::empty()
+    }
+
+    pub(crate) fn open(&self, _log: &Recording, _fps: f64) -> anyhow::Result<Option<Opened>> {
+        Ok(None)
+    }
+}
+
+impl Opened {
+    pub(crate) fn window(&self) -> usize {
+        match *self {}
+    }
+
+    pub(crate) fn record(&self) -> serde_json::Result<Value> {
+        match *self {}
+    }
+
+    pub(crate) fn fact(&self) -> String {
+        match *self {}
+    }
+
+    pub(crate) fn session<'a>(
+        self,
+        _inputs: &'a Inputs,
+        _follow_log: [bool; 2],
+    ) -> anyhow::Result<Box<dyn ImageGenerator + 'a>> {
+        match self {}
+    }
+}

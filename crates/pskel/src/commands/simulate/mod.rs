@@ -1,0 +1,177 @@
+//! `pskel simulate`: [`args`] and [`policies`] define the options, [`generation`] opens the network,
+//! [`summary`] formats the last line.
+
+mod args;
+mod generation;
+mod inputs;
+mod policies;
+mod summary;
+
+#[cfg(feature = "network")]
+pub(crate) use args::ClipArgs;
+pub(crate) use args::SimulateArgs;
+#[cfg(feature = "network")]
+pub(crate) use generation::GenerationArgs;
+#[cfg(feature = "network")]
+pub(crate) use policies::EgoName;
+
+use std::time::Instant;
+
+use point_skeleton::conditions::{ConditionOptions, MapSet};
+use point_skeleton::dataset::Recording;
+use point_skeleton::error::with_causes;
+use point_skeleton::files::{OutputFile, check_place};
+use point_skeleton::geometry::{Camera, ImageSize};
+use point_skeleton::scene::SubstituteReport;
+use point_skeleton::{RenderOptions, Renderer};
+use pskel_sim::rollout::{
+    ImageGenerator, InputPaths, Rollout, RolloutError, RolloutInputs, RolloutOptions, RolloutReport,
+};
+use pskel_sim::{Rates, Scenario, SimOptions};
+use serde_json::{Map, Value};
+
+use self::args::OutputFiles;
+use self::generation::Opened;
+use self::inputs::Inputs;
+use self::summary::{Planned, summary};
+use crate::progress::Progress;
+use crate::{WrongUsage, say, warn};
+
+/// Default size of maps if cameras are larger.
+const SIZE: ImageSize = ImageSize { height: 256, width: 448 };
+
+/// Runs the command: simulates, renders, writes, and prints the summary.
+pub(crate) fn run(args: SimulateArgs) -> anyhow::Result<()> {
+    say(&rollout(args)?);
+    Ok(())
+}
+
+/// Simulates, renders and writes a rollout. Returns its summary.
+pub(crate) fn rollout(args: SimulateArgs) -> anyhow::Result<String> {
+    let start = Instant::now();
+    args.check()?;
+    let read = args.input_paths();
+    let files = args.open_files(&read)?;
+    if !args.dry {
+        check_place(&args.out, &read)?; // before the log is read
+    }
+    if let Some(note) = args.note_on_maps() {
+        warn(note);
+    }
+    let inputs = args.inputs()?;
+    let Inputs { log, skeleton, prompt, map, maps } = &inputs;
+    let log = log.recording();
+    let scenario = Scenario { log, map: map.clone(), rates: Rates::of(args.log.format) };
+    let mut simulation = args.sim_options(&scenario)?;
+    let rates = simulation.rates(scenario.rates, log).map_err(|error| usage(error.into()))?;
+    let opened = args.generation.open(log, rates.plan_hz)?;
+    args.check_steps(simulation.steps, opened.as_ref().map(Opened::window))?;
+    simulation.warmup_frames = args.warmup_frames(opened.as_ref().map(Opened::window))?;
+    let planned = Planned {
+        steps: simulation.steps,
+        ego: simulation.ego.name(),
+        actors: simulation.actors.name(),
+        is_open_loop: args.is_open_loop(),
+    };
+    let (substitutes, substitute_report) = args.stand_ins.options().make(skeleton, &log.name)?;
+    let extra = extra(&substitute_report, opened.as_ref())?;
+    let facts = opened.iter().map(Opened::fact).collect();
+    let options = options(&args, &files, log, *maps, simulation, extra, facts);
+    let paths =
+        InputPaths { log: &args.log.path, skeleton: &args.skeleton, prompt: args.annotations.as_deref() };
+    let rollout_inputs = RolloutInputs { scenario: &scenario, skeleton, prompt, paths };
+    let out = (!args.dry).then_some((args.out.as_path(), &read));
+    let rollout = Rollout::open(rollout_inputs, options, out, args.resume_after()).map_err(usage)?;
+    if args.resume_after().is_some() && rollout.steps_done() == 0 {
+        warn("no rollout with a step was found to resume; this one starts at step 0");
+    }
+    let render = RenderOptions {
+        rasterizer: args.rasterizer.desc()?,
+        substitutes: &substitutes,
+        log: Some(&log.name),
+        ..RenderOptions::default()
+    };
+    let mut renderer = Renderer::new(skeleton, render)?;
+    let generate = |opened: Opened| opened.session(&inputs, args.follow_log());
+    let mut generator = opened.map(generate).transpose()?;
+    let mut progress = Progress::new(rollout.steps_left());
+    let mut on_step = |name: &str| progress.step(name);
+    let generator = generator.as_mut().map(|generator| generator.as_mut() as &mut dyn ImageGenerator);
+    let report = rollout.run(&mut renderer, generator, &mut on_step)?;
+    drop(progress);
+    let report = checked(report, &args, files.profile.as_ref())?;
+    let text = summary(&planned, &report, &renderer.rasterizer().info());
+    Ok(format!("{text} in {:.2} s: {}", start.elapsed().as_secs_f64(), args.out.display()))
+}
+
+/// Writes the profile, and returns the report of a rollout without failures.
+fn checked(
+    mut report: RolloutReport,
+    args: &SimulateArgs,
+    profile: Option<&OutputFile>,
+) -> anyhow::Result<RolloutReport> {
+    let profiled = profile.map_or(Ok(()), |file| report.profile.write(file));
+    let written = report.summary_failure.take().map_or(profiled.map_err(RolloutError::from), Err);
+    let Some(failure) = report.failure.take() else {
+        written?;
+        return Ok(report);
+    };
+    // The first error is the result.
+    if let Err(error) = written {
+        warn(&format!("after the rollout had failed: {}", with_causes(&error)));
+    }
+    let steps = report.rows.len();
+    let place = if args.dry { String::new() } else { format!(", which are in {}", args.out.display()) };
+    Err(anyhow::Error::new(failure).context(format!("stopped after {steps} steps{place}")))
+}
+
+/// Converts invalid options into [`WrongUsage`], which has its own exit code.
+fn usage(error: RolloutError) -> anyhow::Error {
+    match &error {
+        RolloutError::Simulation(wrong) if wrong.is_usage() => WrongUsage(error.to_string()).into(),
+        _ => error.into(),
+    }
+}
+
+/// Returns the options of templates, assets and generator for `rollout.json`.
+fn extra(
+    substitutes: &SubstituteReport,
+    generator: Option<&Opened>,
+) -> serde_json::Result<Map<String, Value>> {
+    let mut extra = match serde_json::to_value(substitutes)? {
+        Value::Object(fields) => fields,
+        _ => Map::new(),
+    };
+    let generator = generator.map(Opened::record).transpose()?;
+    extra.insert("generator".to_owned(), generator.unwrap_or(Value::Null));
+    Ok(extra)
+}
+
+fn options(
+    args: &SimulateArgs,
+    files: &OutputFiles,
+    log: &Recording,
+    maps: MapSet,
+    simulation: SimOptions,
+    extra: Map<String, Value>,
+    facts: Vec<String>,
+) -> RolloutOptions {
+    #[cfg(not(feature = "mcap"))]
+    let _ = files; // of interest to the MCAP file alone
+    let conditions = args.maps.conditions(maps);
+    let large = |camera: &Camera| camera.height > SIZE.height || camera.width > SIZE.width;
+    let reduced = conditions.size.is_none() && log.rig.iter().any(|rig| large(&rig.camera));
+    let out_size = conditions.out_size.or(reduced.then_some(SIZE));
+    RolloutOptions {
+        simulation,
+        conditions: ConditionOptions { out_size, ..conditions },
+        selection: args.maps.selection(),
+        format: args.maps.format,
+        forecast_steps: args.forecast_steps(),
+        sheets: args.sheets,
+        extra,
+        facts,
+        #[cfg(feature = "mcap")]
+        mcap: files.mcap.clone(),
+    }
+}

@@ -1,0 +1,89 @@
+use std::path::PathBuf;
+use std::time::Instant;
+
+use clap::Args;
+use point_skeleton::cloud;
+use point_skeleton::conditions::write::npz;
+use point_skeleton::conditions::{
+    ConditionOptions, ConditionSet, ImageSize, MapKind, MapSet, check_memory, render_views,
+};
+use point_skeleton::files::{Inputs, OutputFile};
+use point_skeleton::raster::{Instance, SplatSchedule};
+use point_skeleton::scene::SceneInstances;
+
+use crate::args::rasterizer::RasterizerArgs;
+use crate::progress::Progress;
+use crate::{say, tell_notes};
+
+/// Splat any point cloud into any cameras: color, depth, class and point number per pixel
+///
+/// The nearest point wins every pixel that its square covers; among points of equal depth, the first one in
+/// the file. Writes the arrays color (u8, VxHxWx3), depth (f32, VxHxW, meters, -300 where empty), class (u8,
+/// VxHxW) and point (u32, VxHxW, row in the file + 1, 0 where empty), views in the order of the camera file.
+#[derive(Debug, Args)]
+pub(crate) struct SplatArgs {
+    /// Points: NPY, floats Nx6 (x y z r g b, colors 0-255) or Nx7 with the class last; or PLY (colors 0-255,
+    /// or 0-1 as floats)
+    #[arg(long, value_name = "P.npy|P.ply")]
+    points: PathBuf,
+    /// Cameras: {"cameras": [{"name", "width", "height", "intrinsics": 3x3, "camera_from_world": 4x4}]}
+    #[arg(long, value_name = "C.json")]
+    cameras: PathBuf,
+    /// Splat radius by depth: up to Z meters a point covers (2R+1) x (2R+1) pixels; points beyond the last Z
+    /// are culled
+    #[arg(long, value_name = "Z:R,..", default_value_t)]
+    splat: SplatSchedule,
+    /// Archive to write
+    #[arg(long, value_name = "F.npz")]
+    out: PathBuf,
+    /// Reduce all maps to this size (color bilinear, all others nearest) [default: the size of the cameras]
+    #[arg(long, value_name = "HxW")]
+    out_size: Option<ImageSize>,
+    #[command(flatten)]
+    rasterizer: RasterizerArgs,
+}
+
+/// Runs the command: reads points and cameras, renders, writes the arrays.
+pub(crate) fn run(args: SplatArgs) -> anyhow::Result<()> {
+    let start = Instant::now();
+    let inputs = Inputs::new([&args.points, &args.cameras]);
+    let out = OutputFile::open(&args.out, npz::COLOR_FIRST, &inputs)?;
+    let views = cloud::cameras::read(&args.cameras)?;
+    let cloud = cloud::read(&args.points)?;
+    tell_notes(&args.points, &cloud.notes);
+    let mut rasterizer = args.rasterizer.create(vec![&cloud.points])?;
+    let instance = Instance { cloud: 0, world_from_local: cloud.world_from_local(), number: 0 };
+    let clouds = SceneInstances { color: vec![instance], geometry: vec![instance] };
+    let maps = [MapKind::Color, MapKind::Depth, MapKind::Class, MapKind::Point];
+    let options = ConditionOptions {
+        maps: MapSet::of(&maps),
+        splat: args.splat,
+        out_size: args.out_size,
+        ..ConditionOptions::default()
+    };
+    check_memory(&views, &options, false)?;
+    let mut set = ConditionSet::default();
+    let mut progress = Progress::new(views.len());
+    for view in &views {
+        let view = std::slice::from_ref(view);
+        set.cameras.extend(render_views(rasterizer.as_mut(), &clouds, view, None, &options)?);
+        progress.step(&view[0].camera.name);
+    }
+    drop(progress);
+    npz::write(out.path(), &set)?;
+    let not_drawn = match cloud.non_finite {
+        0 => String::new(),
+        n => format!(" ({n} not finite, never drawn)"),
+    };
+    let info = rasterizer.info();
+    say(&format!(
+        "splatted {} points{not_drawn} into {} views by {} on {} in {:.2} s: {}",
+        cloud.points.len(),
+        views.len(),
+        info.rasterizer,
+        info.device,
+        start.elapsed().as_secs_f64(),
+        args.out.display()
+    ));
+    Ok(())
+}

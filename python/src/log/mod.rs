@@ -1,0 +1,211 @@
+pub(super) mod owned;
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::ffi::CString;
+use std::path::PathBuf;
+use std::sync::Arc;
+
+use numpy::{PyArray1, PyArray4, PyArrayMethods};
+use point_skeleton::dataset::MissingData;
+use point_skeleton::error::with_causes;
+use point_skeleton::geometry::View;
+use point_skeleton::scene::GroundTruthImages;
+use pskel_sim::Rates;
+use pyo3::exceptions::{PyIndexError, PyOverflowError, PyUserWarning, PyValueError};
+use pyo3::prelude::*;
+use pyo3::types::{PyList, PySlice};
+
+use self::owned::OwnedLog;
+use crate::error::{LogError, RenderError, raise};
+use crate::maps::arrays::Size;
+use crate::pool::detached;
+use crate::scene::Scene;
+
+/// A recorded drive: sensors, calibration, ego poses, tracked boxes and HD map. Its items are the scenes at
+/// key frames, by index or slice.
+///
+/// `name` is `FORMAT:PATH[@VERSION][#SCENE]` or `town:OPTIONS`. `missing` is the policy for missing and
+/// damaged parts: `"skip"` counts them in `notes` and names missing ones in `gaps`, `"error"` raises with the
+/// first. Raises `LogError`; warns (`UserWarning`) of an incomplete log and of an HD map that cannot be read.
+#[pyclass(frozen, sequence, module = "pskel")]
+pub(crate) struct Log {
+    pub(crate) inner: Arc<OwnedLog>,
+    text: String,
+    missing: String,
+}
+
+#[pymethods]
+impl Log {
+    #[new]
+    #[pyo3(signature = (name, missing = "skip"))]
+    fn new(py: Python<'_>, name: &str, missing: &str) -> PyResult<Self> {
+        let policy = match missing {
+            "skip" => MissingData::Skip,
+            "error" => MissingData::Error,
+            other => {
+                return Err(PyValueError::new_err(format!(
+                    "missing is \"skip\" or \"error\", not {other:?}"
+                )));
+            }
+        };
+        let open = || {
+            let mut locator = pskel::logs::locate(name).map_err(raise)?;
+            locator.reading.missing = policy;
+            let log = pskel::logs::open(&locator).map_err(raise)?;
+            log.optional_map().map_err(raise)?;
+            Ok(OwnedLog::new(log))
+        };
+        let log: OwnedLog = detached(py, open)?;
+        let gaps = &log.recording().gaps;
+        let first = gaps.first().map(|gap| format!("{name} has {} gaps, the first: {gap}", gaps.len()));
+        let map = log.map_error().map(|error| format!("{name} has an HD map that cannot be read: {error}"));
+        for text in first.into_iter().chain(map) {
+            let text = CString::new(text.replace('\0', " ")).unwrap_or_default();
+            PyErr::warn(py, &py.get_type::<PyUserWarning>(), &text, 1)?;
+        }
+        Ok(Self { inner: Arc::new(log), text: name.to_owned(), missing: missing.to_owned() })
+    }
+
+    /// Number of skipped and missing items, by kind.
+    #[getter]
+    fn notes(&self) -> BTreeMap<String, usize> {
+        self.inner.recording().notes.clone()
+    }
+
+    /// Missing parts: files, records, boxes without a size.
+    #[getter]
+    fn gaps(&self) -> Vec<String> {
+        self.inner.recording().gaps.iter().map(ToString::to_string).collect()
+    }
+
+    /// Name of the scene, which identifies the log in skeletons.
+    #[getter]
+    fn name(&self) -> &str {
+        self.inner.name()
+    }
+
+    /// Times of the key frames, microseconds.
+    #[getter]
+    fn times_us(&self) -> Vec<i64> {
+        self.inner.recording().frames.iter().map(|frame| frame.t_us).collect()
+    }
+
+    /// Files of sweeps and images, each once, sorted.
+    #[getter]
+    fn files(&self) -> Vec<PathBuf> {
+        let frames = self.inner.recording().frames.iter();
+        let files = frames.flat_map(|frame| {
+            let images = frame.images.iter().chain(&frame.between_images).map(|image| &image.path);
+            images.chain(frame.sweeps.iter().map(|sweep| &sweep.path))
+        });
+        files.collect::<BTreeSet<_>>().into_iter().cloned().collect()
+    }
+
+    fn __len__(&self) -> usize {
+        self.inner.recording().frames.len()
+    }
+
+    /// Returns the scene at a key frame, or a list of those of a slice; negative indices count from the end.
+    fn __getitem__<'py>(&self, py: Python<'py>, index: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyAny>> {
+        let count = self.__len__();
+        if let Ok(slice) = index.cast::<PySlice>() {
+            let range = slice.indices(count as isize)?;
+            let scenes = (0..range.slicelength).map(|i| self.scene(range.start + i as isize * range.step));
+            return Ok(PyList::new(py, scenes.collect::<PyResult<Vec<_>>>()?)?.into_any());
+        }
+        let index = match index.extract::<isize>() {
+            Err(error) if error.is_instance_of::<PyOverflowError>(py) => {
+                return Err(PyIndexError::new_err(format!("expected a frame below {count}, found {index}")));
+            }
+            other => other?,
+        };
+        let at = if index < 0 { index.saturating_add_unsigned(count) } else { index };
+        let scene =
+            if at < 0 { Err(self.beyond(index)) } else { self.scene(at).map_err(|_| self.beyond(index)) };
+        Ok(Bound::new(py, scene?)?.into_any())
+    }
+
+    fn __iter__(slf: Bound<'_, Self>) -> Scenes {
+        Scenes { log: slf.unbind(), next: 0 }
+    }
+
+    /// Returns the scene at a time (microseconds), with interpolated ego and actors. Raises `ValueError`
+    /// outside the log.
+    fn at(&self, t_us: i64) -> PyResult<Scene> {
+        let scene = self.inner.state_at(t_us).map(|state| Scene::of_log(state, &self.inner));
+        scene.ok_or_else(|| {
+            let times = self.times_us();
+            let (first, last) = (times.first().unwrap_or(&0), times.last().unwrap_or(&0));
+            PyValueError::new_err(format!("expected a time of the log, {first} to {last} us, found {t_us}"))
+        })
+    }
+
+    /// Returns the camera images of a scene, `[V, H, W, 3]` `uint8`: recorded images nearest in time, without
+    /// lens distortion and resized to `size` (height, width), or images rendered at the scene's poses if the
+    /// log is a town. Raises `ValueError` for a scene of another log, `LogError` if an image cannot be read,
+    /// and `RenderError` if it cannot be rendered, as in the fork of a process that has rendered images of
+    /// the log.
+    #[pyo3(signature = (scene, size))]
+    fn images<'py>(&self, py: Python<'py>, scene: &Scene, size: Size) -> PyResult<Bound<'py, PyArray4<u8>>> {
+        let (log, scene, Size(size)) = (Arc::clone(&self.inner), scene.checked(self.name())?, size);
+        log.claim_images()?;
+        let read = || {
+            let truth = GroundTruthImages::new(log.reader());
+            let drawn =
+                |view: &View| View { camera: view.camera.resized(size.height, size.width), ..view.clone() };
+            truth.of(&scene, drawn, size, false).map_err(|error| match log.is_rendered() {
+                true => RenderError::new_err(with_causes(&error).to_string()),
+                false => LogError::new_err(with_causes(&error).to_string()),
+            })
+        };
+        let images = detached(py, read)?;
+        let shape = [images.len(), size.height as usize, size.width as usize, 3];
+        let bytes = images.into_iter().map(|image| image.into_raw()).collect::<Vec<_>>().concat();
+        PyArray1::from_vec(py, bytes).reshape(shape)
+    }
+
+    fn __repr__(&self) -> String {
+        format!("Log({:?}, {} frames)", self.text, self.__len__())
+    }
+
+    fn __reduce__<'py>(slf: &Bound<'py, Self>) -> (Bound<'py, PyAny>, (String, String)) {
+        (slf.get_type().into_any(), (slf.get().text.clone(), slf.get().missing.clone()))
+    }
+}
+
+/// Iterator over the scenes at key frames.
+#[pyclass(module = "pskel")]
+pub(crate) struct Scenes {
+    log: Py<Log>,
+    next: usize,
+}
+
+#[pymethods]
+impl Scenes {
+    fn __iter__(slf: PyRef<'_, Self>) -> PyRef<'_, Self> {
+        slf
+    }
+
+    fn __next__(&mut self) -> Option<Scene> {
+        let log = &self.log.get().inner;
+        let scene = log.frame(self.next).map(|state| Scene::of_log(state, log));
+        self.next += 1;
+        scene
+    }
+}
+
+impl Log {
+    fn scene(&self, index: isize) -> PyResult<Scene> {
+        let state = usize::try_from(index).ok().and_then(|index| self.inner.frame(index));
+        state.map(|state| Scene::of_log(state, &self.inner)).ok_or_else(|| self.beyond(index))
+    }
+
+    fn beyond(&self, index: isize) -> PyErr {
+        PyIndexError::new_err(format!("expected a frame below {}, found {index}", self.__len__()))
+    }
+
+    /// Returns the default rates of the log's format.
+    pub(crate) fn rates(&self) -> Rates {
+        pskel::logs::locate(&self.text).map_or_else(|_| Rates::default(), |locator| Rates::of(locator.format))
+    }
+}

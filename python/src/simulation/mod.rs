@@ -1,0 +1,348 @@
+pub(super) mod callback;
+pub(super) mod roll;
+
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use numpy::ndarray::ArrayViewD;
+use pskel_sim::{ActorPolicy, EgoPolicy, Instant, SavedState, Scenario, SimOptions, Tracking, scene_state};
+use pyo3::exceptions::PyValueError;
+use pyo3::prelude::*;
+use self_cell::self_cell;
+use serde::Serialize;
+
+use crate::error::{SimulationError, raise_sim};
+use crate::log::Log;
+use crate::log::owned::OwnedLog;
+use crate::maps::arrays::Numbers;
+use crate::pool::detached;
+use crate::scene::Scene;
+use crate::time::{Committed, Forecast};
+
+type Borrowing<'a> = pskel_sim::Simulation<'a>;
+
+self_cell!(
+    /// A simulation together with the log it borrows.
+    struct Owned {
+        owner: Arc<OwnedLog>,
+        #[not_covariant]
+        dependent: Borrowing,
+    }
+);
+
+/// Closed-loop simulation: ego and actors move step by step. As an iterator it yields the observation of each
+/// planning step; with `ego="caller"`, call `act` before the next one. An ego that does not follow the log
+/// drives on after its end (`is_beyond_log`).
+///
+/// - `ego`: caller, replay, straight, cosine, right_then_back or lane_change.
+/// - `actors`: replay, idm or reactive.
+/// - `steps`: number of simulation steps, at least 1.
+/// - `tracking` of plans by the ego: perfect or bicycle.
+/// - `sim_hz`, `plan_hz`: simulation and planning steps per second, the first a multiple of the second; by
+///   default 12 and 2 for nuScenes, 10 and 5 for other logs.
+/// - `warmup_frames`: the first (N - 1) `sim_hz` / `plan_hz` steps follow the log.
+/// - `start_us`: start time, microseconds; by default that of the first frame.
+/// - `seed`: part of the saved state; these policies use no random numbers.
+/// - `saved`: result of `save` of a simulation with the same options, to resume it.
+///
+/// Raises `ValueError` for invalid options, `SimulationError` for a state of another simulation.
+#[pyclass(frozen, module = "pskel")]
+pub(crate) struct Simulation {
+    state: Mutex<State>,
+}
+
+struct State {
+    owned: Owned,
+    /// Whether the iteration has begun.
+    begun: bool,
+}
+
+#[pymethods]
+impl Simulation {
+    #[new]
+    #[pyo3(signature = (log, *, ego="caller", actors="replay", steps=100, tracking="perfect", sim_hz=None, plan_hz=None, warmup_frames=1, start_us=None, seed=0, saved=None))]
+    #[allow(clippy::too_many_arguments)] // keyword arguments of Python
+    fn new(
+        py: Python<'_>,
+        log: &Log,
+        ego: &str,
+        actors: &str,
+        steps: usize,
+        tracking: &str,
+        sim_hz: Option<f64>,
+        plan_hz: Option<f64>,
+        warmup_frames: usize,
+        start_us: Option<i64>,
+        seed: u64,
+        saved: Option<&str>,
+    ) -> PyResult<Self> {
+        let options = SimOptions {
+            seed,
+            steps,
+            sim_hz,
+            plan_hz,
+            warmup_frames,
+            start_us,
+            ego: choice("ego", ego, &EGO, EgoPolicy::name)?,
+            actors: choice("actors", actors, &ACTORS, |policy| policy.name())?,
+            tracking: choice("tracking", tracking, &TRACKING, |tracking| match tracking {
+                Tracking::Perfect => "perfect",
+                Tracking::Bicycle => "bicycle",
+            })?,
+            ..SimOptions::default()
+        };
+        let saved: Option<SavedState> = saved.map(serde_json::from_str).transpose().map_err(|error| {
+            let message = "expected a state that Simulation.save returned, found another text";
+            PyValueError::new_err(format!("{message}: {error}"))
+        })?;
+        let (rates, log) = (log.rates(), Arc::clone(&log.inner));
+        let start = || {
+            Owned::try_new(log, |log| {
+                let scenario = Scenario { log: log.recording(), map: log.map(), rates };
+                match &saved {
+                    Some(saved) => Borrowing::resume(&scenario, options, saved),
+                    None => Borrowing::new(&scenario, options),
+                }
+            })
+            .map_err(raise_sim)
+        };
+        let owned = detached(py, start)?;
+        Ok(Self { state: Mutex::new(State { owned, begun: false }) })
+    }
+
+    /// Number of the committed step.
+    #[getter]
+    fn index(&self, py: Python<'_>) -> PyResult<usize> {
+        self.read(py, |simulation, _| Ok(simulation.committed().get().step))
+    }
+
+    /// The committed scene.
+    #[getter]
+    fn scene(&self, py: Python<'_>) -> PyResult<Scene> {
+        self.read(py, |simulation, log| Ok(scene(log, simulation.committed().get())))
+    }
+
+    /// The committed scene, as a value of the past.
+    #[getter]
+    fn committed(&self, py: Python<'_>) -> PyResult<Committed> {
+        let (scene, step) = self.read(py, |simulation, log| {
+            let committed = simulation.committed();
+            let scene = scene(log, committed.get());
+            Ok((scene, committed.map(|_| ())))
+        })?;
+        let scene = Py::new(py, scene)?.into_any();
+        Ok(Committed { inner: step.map(|()| scene) })
+    }
+
+    /// Predicts the scenes of the next planning steps: the ego follows the rest of its plan, the actors their
+    /// policy. Fewer if the log ends and the ego follows it.
+    fn forecast(&self, py: Python<'_>, count: usize) -> PyResult<Vec<Forecast>> {
+        let scenes = self.read(py, |simulation, log| {
+            let of = |instant: &pskel_sim::Forecast<Instant>| scene(log, instant.get());
+            Ok(simulation.forecast(count).iter().map(of).collect::<Vec<_>>())
+        })?;
+        let predicted =
+            |scene| Ok(Forecast { inner: pskel_sim::Forecast::new(Py::new(py, scene)?.into_any()) });
+        scenes.into_iter().map(predicted).collect()
+    }
+
+    /// The observation of the committed step, as planners in other processes receive it (docs/PLANNER.md).
+    /// After resuming from `saved`, its `history` begins with the saved step.
+    #[getter]
+    fn observation<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        let text = self.read(py, |simulation, _| json(&simulation.observation()))?;
+        parsed(py, &text)
+    }
+
+    /// Whether the next step needs a plan (`act`).
+    #[getter]
+    fn needs_plan(&self, py: Python<'_>) -> PyResult<bool> {
+        self.read(py, |simulation, _| Ok(simulation.needs_plan()))
+    }
+
+    /// Whether the simulation is over: all steps are simulated, or the log has ended and the ego follows it.
+    #[getter]
+    fn done(&self, py: Python<'_>) -> PyResult<bool> {
+        self.read(py, |simulation, _| Ok(simulation.is_done()))
+    }
+
+    /// Whether the committed step is after the end of the log, where no recorded road users are left.
+    #[getter]
+    fn is_beyond_log(&self, py: Python<'_>) -> PyResult<bool> {
+        self.read(py, |simulation, log| {
+            let end_us = log.recording().frames.last().map(|frame| frame.t_us);
+            Ok(end_us.is_some_and(|end_us| simulation.committed().get().t_us > end_us))
+        })
+    }
+
+    /// Metrics of the committed steps: collisions, distances, comfort, off-road time.
+    #[getter]
+    fn metrics<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        let text = self.read(py, |simulation, _| json(&simulation.metrics()))?;
+        parsed(py, &text)
+    }
+
+    /// Seconds between planning steps.
+    #[getter]
+    fn plan_dt(&self, py: Python<'_>) -> PyResult<f64> {
+        self.read(py, |simulation, _| Ok(simulation.rates().plan_hz.recip()))
+    }
+
+    /// Sets the plan of an ego with `ego="caller"`: waypoints `[N, 3]` (x and y in meters, heading in
+    /// radians) every `dt` seconds from now, or `[N, 5]` (time in seconds, x, y, heading, speed in meters per
+    /// second). `frame`: `ego` or `global`. Raises `ValueError` for a plan that is invalid, too short, or not
+    /// needed.
+    #[pyo3(signature = (waypoints, *, dt=0.5, frame="ego"))]
+    fn act(&self, py: Python<'_>, waypoints: Numbers<'_>, dt: f64, frame: &str) -> PyResult<()> {
+        let view = waypoints.as_array();
+        if frame != "ego" && frame != "global" {
+            return Err(PyValueError::new_err(format!("expected the frame ego or global, found {frame:?}")));
+        }
+        if !(dt.is_finite() && dt > 0.0) {
+            return Err(PyValueError::new_err(format!("expected dt above 0 s, found {dt}")));
+        }
+        if view.ndim() != 2 || (view.shape()[1] != 3 && view.shape()[1] != 5) {
+            return Err(PyValueError::new_err(format!(
+                "expected waypoints [N, 3] or [N, 5], found {:?}",
+                view.shape()
+            )));
+        }
+        if let Some(value) = view.iter().find(|value| !value.is_finite()) {
+            return Err(PyValueError::new_err(format!("expected finite waypoints, found {value}")));
+        }
+        self.change(py, |simulation, _, _| {
+            let at = simulation.committed().get().ego.position_m();
+            let from = if frame == "ego" { [0.0, 0.0] } else { at.to_array() };
+            let answer = json(&Answer { frame, trajectory: points(&view, from, dt) })?;
+            simulation.follow(answer.as_bytes()).map_err(raise_sim)
+        })
+    }
+
+    /// Computes and commits the next step. Returns `False` once the simulation is over. Raises
+    /// `SimulationError` if a plan is missing.
+    fn step(&self, py: Python<'_>) -> PyResult<bool> {
+        self.change(py, |simulation, _, _| Ok(simulation.step().map_err(raise_sim)?.is_some()))
+    }
+
+    fn __repr__(&self, py: Python<'_>) -> PyResult<String> {
+        self.read(py, |simulation, log| {
+            Ok(format!("Simulation({:?}, step {})", log.name(), simulation.committed().get().step))
+        })
+    }
+
+    /// Returns the state as text, for `Simulation(log, saved=..)` with the same options.
+    fn save(&self, py: Python<'_>) -> PyResult<String> {
+        self.read(py, |simulation, _| json(&simulation.save()))
+    }
+
+    fn __iter__(slf: PyRef<'_, Self>) -> PyRef<'_, Self> {
+        slf
+    }
+
+    fn __next__<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyAny>>> {
+        let text = self.change(py, |simulation, _, begun| {
+            let plans = |simulation: &Borrowing<'_>| {
+                let step = simulation.committed().get().step;
+                step >= simulation.takeover_step() && step.is_multiple_of(simulation.steps_per_plan())
+            };
+            if !std::mem::replace(begun, true) && plans(simulation) && !simulation.is_done() {
+                return json(&simulation.observation()).map(Some);
+            }
+            while simulation.step().map_err(raise_sim)?.is_some() {
+                if plans(simulation) && !simulation.is_done() {
+                    return json(&simulation.observation()).map(Some);
+                }
+            }
+            Ok(None)
+        })?;
+        text.map(|text| parsed(py, &text)).transpose()
+    }
+}
+
+const EGO: [EgoPolicy; 6] = [
+    EgoPolicy::Caller,
+    EgoPolicy::Replay,
+    EgoPolicy::Straight,
+    EgoPolicy::Cosine,
+    EgoPolicy::RightThenBack,
+    EgoPolicy::LaneChange,
+];
+const ACTORS: [ActorPolicy; 3] = [ActorPolicy::Replay, ActorPolicy::Idm, ActorPolicy::Reactive];
+const TRACKING: [Tracking; 2] = [Tracking::Perfect, Tracking::Bicycle];
+
+/// Answer of a planner.
+#[derive(Serialize)]
+struct Answer<'a> {
+    frame: &'a str,
+    trajectory: Vec<Point>,
+}
+
+#[derive(Serialize)]
+struct Point {
+    t: f64,
+    x: f64,
+    y: f64,
+    heading: f64,
+    v: f64,
+}
+
+impl Simulation {
+    fn lock(&self) -> MutexGuard<'_, State> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn read<T: Send>(
+        &self,
+        py: Python<'_>,
+        call: impl FnOnce(&Borrowing<'_>, &point_skeleton::Log) -> PyResult<T> + Send,
+    ) -> PyResult<T> {
+        detached(py, || self.lock().owned.with_dependent(|log, simulation| call(simulation, log)))
+    }
+
+    fn change<T: Send>(
+        &self,
+        py: Python<'_>,
+        call: impl FnOnce(&mut Borrowing<'_>, &point_skeleton::Log, &mut bool) -> PyResult<T> + Send,
+    ) -> PyResult<T> {
+        detached(py, || {
+            let State { owned, begun } = &mut *self.lock();
+            owned.with_dependent_mut(|log, simulation| call(simulation, log, begun))
+        })
+    }
+}
+
+fn scene(log: &point_skeleton::Log, instant: &Instant) -> Scene {
+    Scene::of_log(scene_state(log.recording(), instant, log.map()), log)
+}
+
+/// Converts waypoints; the speed of those without one is that from the waypoint before, along the heading.
+fn points(view: &ArrayViewD<'_, f64>, from: [f64; 2], dt: f64) -> Vec<Point> {
+    let mut before = from;
+    let mut point = |row: usize| {
+        if view.shape()[1] == 5 {
+            let [t, x, y, heading, v] = std::array::from_fn(|column| view[[row, column]]);
+            return Point { t, x, y, heading, v };
+        }
+        let [x, y, heading] = std::array::from_fn(|column| view[[row, column]]);
+        let (dx, dy) = (x - before[0], y - before[1]);
+        before = [x, y];
+        let v = (dx * heading.cos() + dy * heading.sin()) / dt;
+        Point { t: (row + 1) as f64 * dt, x, y, heading, v }
+    };
+    (0..view.shape()[0]).map(&mut point).collect()
+}
+
+fn choice<T: Clone>(what: &str, text: &str, all: &[T], name: impl Fn(&T) -> &'static str) -> PyResult<T> {
+    let found = all.iter().find(|value| name(value) == text).cloned();
+    found.ok_or_else(|| {
+        let names: Vec<&str> = all.iter().map(&name).collect();
+        PyValueError::new_err(format!("expected {what} to be one of {}, found {text:?}", names.join(", ")))
+    })
+}
+
+fn json(value: &impl Serialize) -> PyResult<String> {
+    serde_json::to_string(value).map_err(|error| SimulationError::new_err(error.to_string()))
+}
+
+fn parsed<'py>(py: Python<'py>, text: &str) -> PyResult<Bound<'py, PyAny>> {
+    py.import("json")?.call_method1("loads", (text,))
+}
