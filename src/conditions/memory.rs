@@ -4,7 +4,7 @@ use super::tensor::{LAYOUT_CHANNELS, POINT_CHANNELS};
 use super::{ConditionOptions, MapKind, MapSet};
 use crate::geometry::{ImageSize, View};
 use crate::memory::{MemoryError, Need, Reservation, reserve};
-use crate::raster::{frame_bytes, need_of_views};
+use crate::raster::{PixelType, frame_bytes, need_of_views};
 
 /// Memory of a color map that is rendered at full size, per pixel: the rasterizer's maps, the map itself, and
 /// what its filter needs.
@@ -18,11 +18,11 @@ fn with_encoded(bytes: u64) -> u64 {
 
 /// Returns the memory of a map per pixel, bytes.
 fn pixel_bytes(kind: MapKind) -> u64 {
-    match kind {
-        MapKind::Color | MapKind::Boxes | MapKind::Map => 3,
-        MapKind::Class => 1,
-        MapKind::Depth | MapKind::Instance | MapKind::Point => 4,
-        MapKind::Tensor => 4 * (POINT_CHANNELS + LAYOUT_CHANNELS) as u64,
+    match kind.description().pixels {
+        PixelType::Rgb => 3,
+        PixelType::Class => 1,
+        PixelType::Depth | PixelType::Number => 4,
+        PixelType::Channels => 4 * (POINT_CHANNELS + LAYOUT_CHANNELS) as u64,
     }
 }
 

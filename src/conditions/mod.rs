@@ -32,7 +32,7 @@ pub use layout::{LayoutLayers, LayoutStyle, LineWidth};
 pub use memory::check_memory;
 pub use options::{ColorFilter, ConditionOptions};
 pub use render::{StepInFlight, draw_layouts, render, render_views};
-pub use set::{CameraConditions, ConditionSet};
+pub use set::{CameraConditions, ConditionSet, MapPixels};
 pub use tensor::{DepthEmbedding, ModelTensor, TensorEncoder};
 pub use write::format::MapFormat;
 

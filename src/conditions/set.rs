@@ -31,7 +31,36 @@ pub struct CameraConditions {
     pub tensor: Option<ModelTensor>,
 }
 
+/// Pixels of a map, row-major `height * width`, by their [`PixelType`](crate::raster::PixelType).
+#[derive(Clone, Copy, Debug)]
+pub enum MapPixels<'a> {
+    /// RGB levels.
+    Rgb(&'a [[u8; 3]]),
+    /// Camera depth in meters, `f32::INFINITY` where empty.
+    Depth(&'a [f32]),
+    /// Coarse classes.
+    Class(&'a [u8]),
+    /// Numbers.
+    Number(&'a [u32]),
+    /// Network input.
+    Channels(&'a ModelTensor),
+}
+
 impl CameraConditions {
+    /// Returns the pixels of a map; `None` if it was not rendered.
+    pub fn pixels(&self, kind: MapKind) -> Option<MapPixels<'_>> {
+        match kind {
+            MapKind::Color => self.color.as_deref().map(MapPixels::Rgb),
+            MapKind::Depth => self.depth_m.as_deref().map(MapPixels::Depth),
+            MapKind::Class => self.class.as_deref().map(MapPixels::Class),
+            MapKind::Instance => self.instance.as_deref().map(MapPixels::Number),
+            MapKind::Boxes => self.boxes.as_deref().map(MapPixels::Rgb),
+            MapKind::Map => self.map.as_deref().map(MapPixels::Rgb),
+            MapKind::Point => self.point.as_deref().map(MapPixels::Number),
+            MapKind::Tensor => self.tensor.as_ref().map(MapPixels::Channels),
+        }
+    }
+
     /// Returns the size of all maps.
     pub fn size(&self) -> ImageSize {
         ImageSize { height: self.height, width: self.width }
@@ -39,10 +68,8 @@ impl CameraConditions {
 
     /// Returns a map whose pixels are RGB; `None` if it was not rendered or the kind is not RGB.
     pub fn rgb(&self, kind: MapKind) -> Option<&[[u8; 3]]> {
-        match kind {
-            MapKind::Color => self.color.as_deref(),
-            MapKind::Boxes => self.boxes.as_deref(),
-            MapKind::Map => self.map.as_deref(),
+        match self.pixels(kind)? {
+            MapPixels::Rgb(pixels) => Some(pixels),
             _ => None,
         }
     }

@@ -49,7 +49,7 @@ pub use graphics::{GraphicsRasterizer, GraphicsRasterizerDesc};
 pub use kind::{RasterizerDesc, RasterizerKind, UnknownRasterizer, create};
 pub(crate) use lines::LineRows;
 pub use lines::draw_lines;
-pub use maps::map_set::{MapKind, MapSet};
+pub use maps::map_set::{MapDescription, MapKind, MapSet, PixelType};
 pub use maps::plane::Plane;
 pub use maps::reduce;
 pub use maps::{Segment, SplatMaps, StageTimes};

@@ -4,6 +4,8 @@ pub(super) mod arrays;
 pub(super) mod points;
 
 use numpy::{Element, PyArray1, PyArrayMethods};
+use point_skeleton::conditions::MapPixels;
+use point_skeleton::raster::PixelType;
 use point_skeleton::{CameraConditions, MapKind};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
@@ -28,15 +30,23 @@ pub(crate) fn dictionary<'py>(py: Python<'py>, cameras: &[CameraConditions]) -> 
     let gray = vec![cameras.len(), height, width];
     let rgb = vec![cameras.len(), height, width, 3];
     for kind in MapKind::ALL {
-        let array = match kind {
-            MapKind::Color | MapKind::Boxes | MapKind::Map => {
+        let array = match kind.description().pixels {
+            PixelType::Rgb => {
                 stacked(py, cameras, &rgb, |camera| camera.rgb(kind).map(<[[u8; 3]]>::as_flattened))?
             }
-            MapKind::Depth => stacked(py, cameras, &gray, |camera| camera.depth_m.as_deref())?,
-            MapKind::Class => stacked(py, cameras, &gray, |camera| camera.class.as_deref())?,
-            MapKind::Instance => stacked(py, cameras, &gray, |camera| camera.instance.as_deref())?,
-            MapKind::Point => stacked(py, cameras, &gray, |camera| camera.point.as_deref())?,
-            MapKind::Tensor => {
+            PixelType::Depth => stacked(py, cameras, &gray, |camera| match camera.pixels(kind)? {
+                MapPixels::Depth(map) => Some(map),
+                _ => None,
+            })?,
+            PixelType::Class => stacked(py, cameras, &gray, |camera| match camera.pixels(kind)? {
+                MapPixels::Class(map) => Some(map),
+                _ => None,
+            })?,
+            PixelType::Number => stacked(py, cameras, &gray, |camera| match camera.pixels(kind)? {
+                MapPixels::Number(map) => Some(map),
+                _ => None,
+            })?,
+            PixelType::Channels => {
                 let channels =
                     |count: usize| vec![cameras.len(), count / (height * width).max(1), height, width];
                 if let Some(tensor) = &first.tensor {

@@ -3,14 +3,14 @@
 //! # How it works
 //! Each map is a block with a title and a legend. In it, the cameras of a known surround rig are arranged by
 //! direction (front left, front, front right above back left, back, back right); other cameras are in rows of
-//! three. Numbers are shown as colors (`tile_colors`). Tiles are scaled down to at most [`TILE_WIDTH_PX`].
+//! three. Classes and numbers are shown as colors over the depth in dark gray. Tiles are scaled down to at most [`TILE_WIDTH_PX`].
 
 use std::path::Path;
 
 use super::canvas::{Canvas, GLYPH, text_width};
 use crate::conditions::layout::map_rgb;
 use crate::conditions::write::png;
-use crate::conditions::{CameraConditions, ConditionSet, DepthBins, ImageSize, MapKind, reduce};
+use crate::conditions::{CameraConditions, ConditionSet, DepthBins, ImageSize, MapKind, MapPixels, reduce};
 use crate::error::FileError;
 use crate::scene::MapLayer;
 
@@ -120,18 +120,8 @@ pub fn kinds(set: &ConditionSet) -> Vec<MapKind> {
     MapKind::ALL.into_iter().filter(|kind| shown(set, *kind)).collect()
 }
 
-/// Point numbers are not displayed: they carry no visual information.
 fn shown(set: &ConditionSet, kind: MapKind) -> bool {
-    set.cameras.iter().any(|camera| match kind {
-        MapKind::Color => camera.color.is_some(),
-        MapKind::Depth => camera.depth_m.is_some(),
-        MapKind::Class => camera.class.is_some(),
-        MapKind::Instance => camera.instance.is_some(),
-        MapKind::Boxes => camera.boxes.is_some(),
-        MapKind::Map => camera.map.is_some(),
-        MapKind::Point => false,
-        MapKind::Tensor => camera.tensor.is_some(),
-    })
+    kind.description().is_shown && set.cameras.iter().any(|camera| camera.pixels(kind).is_some())
 }
 
 /// Arrangement of tiles within a block.
@@ -202,14 +192,18 @@ fn draw_tile(
 ) {
     canvas.map(at, grid.tile, |_, _| EMPTY);
     let (from, to) = (camera.size(), fitted(camera.size(), grid.tile.width));
-    let picture = match kind {
-        MapKind::Color | MapKind::Boxes | MapKind::Map => {
-            camera.rgb(kind).map(|map| reduce::pil_bilinear(map, from, to))
-        }
-        MapKind::Tensor => camera.tensor.as_ref().map(|t| reduce::pil_bilinear(&t.preview(), from, to)),
-        _ => tile_colors(camera, kind, to, bins),
-    };
-    if let Some(picture) = picture {
+    if let Some(pixels) = camera.pixels(kind) {
+        let picture = match pixels {
+            MapPixels::Rgb(map) => reduce::pil_bilinear(map, from, to),
+            MapPixels::Channels(tensor) => reduce::pil_bilinear(&tensor.preview(), from, to),
+            MapPixels::Depth(map) => by_depth(map, &bins.colors(), from, to, bins),
+            MapPixels::Class(map) => {
+                paint(over_depth(camera, to, bins), &reduce::nearest(map, from, to), class_color)
+            }
+            MapPixels::Number(map) => {
+                paint(over_depth(camera, to, bins), &reduce::nearest(map, from, to), number_color)
+            }
+        };
         canvas.blit(grid.centered(at, camera), to, &picture);
     }
     let label = ImageSize { height: GLYPH + 6, width: text_width(&camera.name, 1) + 8 };
@@ -219,35 +213,27 @@ fn draw_tile(
     }
 }
 
-/// Colors a map of numbers, reduced by nearest: depth with TURBO; class and instance with one color per
-/// number over the depth in dark gray.
-fn tile_colors(
-    camera: &CameraConditions,
-    kind: MapKind,
+/// Colors a depth map, reduced by nearest sampling, with one color per bin.
+fn by_depth(
+    depth_m: &[f32],
+    colors: &[[u8; 3]],
+    from: ImageSize,
     to: ImageSize,
     bins: &DepthBins,
-) -> Option<Vec<[u8; 3]>> {
-    let from = camera.size();
-    let by_bin = |colors: &[[u8; 3]]| {
-        let depth_m = reduce::nearest(camera.depth_m.as_ref()?, from, to);
-        let bins: Vec<u16> = depth_m.into_iter().map(|depth_m| bins.bin(depth_m)).collect();
-        Some(bins.into_iter().map(|bin| colors[usize::from(bin)]).collect::<Vec<_>>())
-    };
-    if kind == MapKind::Depth {
-        return by_bin(&bins.colors());
-    }
-    let mut picture = by_bin(&grays(bins)).unwrap_or_else(|| vec![EMPTY; to.pixels()]);
-    if kind == MapKind::Class {
-        let classes = reduce::nearest(camera.class.as_ref()?, from, to);
-        let color = |class: u8| {
-            let known = CLASSES.get(usize::from(class) - 1);
-            known.map_or_else(|| number_color(class.into()), |(rgb, _)| *rgb)
-        };
-        paint(&mut picture, &classes, color);
-    } else {
-        paint(&mut picture, &reduce::nearest(camera.instance.as_ref()?, from, to), number_color);
-    }
-    Some(picture)
+) -> Vec<[u8; 3]> {
+    let depth_m = reduce::nearest(depth_m, from, to);
+    depth_m.into_iter().map(|depth_m| colors[usize::from(bins.bin(depth_m))]).collect()
+}
+
+/// Returns the background of class and number maps: the depth in dark gray, if it was rendered.
+fn over_depth(camera: &CameraConditions, to: ImageSize, bins: &DepthBins) -> Vec<[u8; 3]> {
+    let gray = |depth_m: &Vec<f32>| by_depth(depth_m, &grays(bins), camera.size(), to, bins);
+    camera.depth_m.as_ref().map_or_else(|| vec![EMPTY; to.pixels()], gray)
+}
+
+fn class_color(class: u8) -> [u8; 3] {
+    let known = CLASSES.get(usize::from(class) - 1);
+    known.map_or_else(|| number_color(class.into()), |(rgb, _)| *rgb)
 }
 
 /// Returns the dark gray of every depth bin, lighter where it is nearer.
@@ -261,10 +247,10 @@ fn grays(bins: &DepthBins) -> Vec<[u8; 3]> {
 
 /// Colors the pixels whose number is not 0.
 fn paint<N: Copy + Default + PartialEq>(
-    picture: &mut [[u8; 3]],
+    mut picture: Vec<[u8; 3]>,
     numbers: &[N],
     color: impl Fn(N) -> [u8; 3],
-) {
+) -> Vec<[u8; 3]> {
     let (mut last, mut rgb) = (N::default(), EMPTY);
     for (pixel, &number) in picture.iter_mut().zip(numbers) {
         if number != N::default() {
@@ -274,6 +260,7 @@ fn paint<N: Copy + Default + PartialEq>(
             *pixel = rgb;
         }
     }
+    picture
 }
 
 /// Returns a bright color for a number. Hues are a golden angle apart, so consecutive numbers differ clearly.

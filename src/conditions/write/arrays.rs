@@ -5,7 +5,8 @@ use std::borrow::Cow;
 use std::path::Path;
 
 use crate::conditions::tensor::{LAYOUT_CHANNELS, POINT_CHANNELS};
-use crate::conditions::{CameraConditions, ConditionError, ConditionSet, EMPTY_DEPTH_M, MapKind};
+use crate::conditions::{CameraConditions, ConditionError, ConditionSet, EMPTY_DEPTH_M, MapKind, MapPixels};
+use crate::raster::PixelType;
 
 /// Number type of an array.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -67,29 +68,42 @@ enum Channels {
 }
 
 fn arrays_of(set: &ConditionSet, kind: MapKind) -> Vec<Array<'_>> {
-    let array = |name, scalar, channels, bytes: fn(&CameraConditions) -> Option<Cow<'_, [u8]>>| {
+    let array = |name, scalar, channels, bytes: fn(MapPixels<'_>) -> Option<Cow<'_, [u8]>>| {
         // All cameras of a set have the same maps.
-        let parts = set.cameras.iter().map(bytes).collect::<Option<Vec<_>>>()?;
+        let parts =
+            set.cameras.iter().map(|camera| bytes(camera.pixels(kind)?)).collect::<Option<Vec<_>>>()?;
         Some(Array { name, scalar, shape: shape(set, channels), parts })
     };
-    let name = kind.name();
-    let (gray, rgb) = (Channels::None, Channels::Last(3));
-    let found = match kind {
-        MapKind::Color => array(name, Scalar::U8, rgb, |c| levels(c.color.as_ref()?)),
-        MapKind::Boxes => array(name, Scalar::U8, rgb, |c| levels(c.boxes.as_ref()?)),
-        MapKind::Map => array(name, Scalar::U8, rgb, |c| levels(c.map.as_ref()?)),
-        MapKind::Depth => array(name, Scalar::F32, gray, |c| meters(c.depth_m.as_ref()?)),
-        MapKind::Class => array(name, Scalar::U8, gray, |c| Some(Cow::Borrowed(c.class.as_ref()?))),
-        MapKind::Instance => array(name, Scalar::U32, gray, |c| numbers(c.instance.as_ref()?)),
-        MapKind::Point => array(name, Scalar::U32, gray, |c| numbers(c.point.as_ref()?)),
-        MapKind::Tensor => {
-            let (points, layout) = (Channels::First(POINT_CHANNELS), Channels::First(LAYOUT_CHANNELS));
-            let points = array("points", Scalar::F32, points, |c| numbers(&c.tensor.as_ref()?.points));
-            let layout = array("layout", Scalar::F32, layout, |c| numbers(&c.tensor.as_ref()?.layout));
+    let (name, gray) = (kind.name(), Channels::None);
+    let found = match kind.description().pixels {
+        PixelType::Rgb => array(name, Scalar::U8, Channels::Last(3), bytes),
+        PixelType::Depth => array(name, Scalar::F32, gray, bytes),
+        PixelType::Class => array(name, Scalar::U8, gray, bytes),
+        PixelType::Number => array(name, Scalar::U32, gray, bytes),
+        PixelType::Channels => {
+            let points = array("points", Scalar::F32, Channels::First(POINT_CHANNELS), bytes);
+            let layout = array("layout", Scalar::F32, Channels::First(LAYOUT_CHANNELS), layout_bytes);
             return points.into_iter().chain(layout).collect();
         }
     };
     found.into_iter().collect()
+}
+
+/// Returns the samples of a map; of the network input, those of its point channels.
+fn bytes(pixels: MapPixels<'_>) -> Option<Cow<'_, [u8]>> {
+    Some(match pixels {
+        MapPixels::Rgb(map) => Cow::Borrowed(map.as_flattened()),
+        MapPixels::Depth(map) => meters(map),
+        MapPixels::Class(map) => Cow::Borrowed(map),
+        MapPixels::Number(map) => Cow::Borrowed(bytemuck::cast_slice(map)),
+        MapPixels::Channels(tensor) => Cow::Borrowed(bytemuck::cast_slice(&tensor.points)),
+    })
+}
+
+/// Returns the layout channels of the network input.
+fn layout_bytes(pixels: MapPixels<'_>) -> Option<Cow<'_, [u8]>> {
+    let MapPixels::Channels(tensor) = pixels else { return None };
+    Some(Cow::Borrowed(bytemuck::cast_slice(&tensor.layout)))
 }
 
 fn shape(set: &ConditionSet, channels: Channels) -> Vec<usize> {
@@ -102,15 +116,7 @@ fn shape(set: &ConditionSet, channels: Channels) -> Vec<usize> {
     }
 }
 
-fn levels(map: &[[u8; 3]]) -> Option<Cow<'_, [u8]>> {
-    Some(Cow::Borrowed(map.as_flattened()))
-}
-
-fn numbers<T: bytemuck::NoUninit>(map: &[T]) -> Option<Cow<'_, [u8]>> {
-    Some(Cow::Borrowed(bytemuck::cast_slice(map)))
-}
-
-fn meters(depth_m: &[f32]) -> Option<Cow<'_, [u8]>> {
+fn meters(depth_m: &[f32]) -> Cow<'_, [u8]> {
     let meters = |d: &f32| if d.is_finite() { *d } else { EMPTY_DEPTH_M };
-    Some(Cow::Owned(depth_m.iter().flat_map(|d| meters(d).to_le_bytes()).collect()))
+    Cow::Owned(depth_m.iter().flat_map(|d| meters(d).to_le_bytes()).collect())
 }

@@ -11,7 +11,7 @@ use exr::image::{AnyChannel, AnyChannels, Encoding, FlatSamples, Image};
 use exr::prelude::{SmallVec, WritableImage};
 use rayon::prelude::*;
 
-use crate::conditions::{CameraConditions, ConditionSet, EMPTY_DEPTH_M, ImageSize, MapKind};
+use crate::conditions::{CameraConditions, ConditionSet, EMPTY_DEPTH_M, ImageSize, MapKind, MapPixels};
 use crate::error::FileError;
 use crate::files::write_whole;
 
@@ -43,17 +43,16 @@ fn channels(camera: &CameraConditions, kind: MapKind) -> Option<Channels> {
         let exact = map.iter().all(|number| *number <= MAX_F32_INTEGER);
         gray(kind.name(), FlatSamples::U32(map), exact)
     };
-    Some(match kind {
-        MapKind::Color | MapKind::Boxes | MapKind::Map => rgb(camera.rgb(kind)?),
-        MapKind::Depth => {
+    Some(match camera.pixels(kind)? {
+        MapPixels::Rgb(map) => rgb(map),
+        MapPixels::Depth(map) => {
             let meters = |d: &f32| if d.is_finite() { *d } else { EMPTY_DEPTH_M };
-            gray("Z", FlatSamples::F32(camera.depth_m.as_ref()?.iter().map(meters).collect()), true)
+            gray("Z", FlatSamples::F32(map.iter().map(meters).collect()), true)
         }
-        MapKind::Class => numbers(camera.class.as_ref()?.iter().map(|c| u32::from(*c)).collect()),
-        MapKind::Instance => numbers(camera.instance.clone()?),
-        MapKind::Point => numbers(camera.point.clone()?),
+        MapPixels::Class(map) => numbers(map.iter().map(|c| u32::from(*c)).collect()),
+        MapPixels::Number(map) => numbers(map.to_vec()),
         // The model tensor is not an image.
-        MapKind::Tensor => return None,
+        MapPixels::Channels(_) => return None,
     })
 }
 

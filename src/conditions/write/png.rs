@@ -8,7 +8,9 @@ use image::codecs::png::PngEncoder;
 use image::{ExtendedColorType, ImageEncoder};
 use rayon::prelude::*;
 
-use crate::conditions::{CameraConditions, ConditionError, ConditionSet, DepthBins, ImageSize, MapKind};
+use crate::conditions::{
+    CameraConditions, ConditionError, ConditionSet, DepthBins, ImageSize, MapKind, MapPixels,
+};
 use crate::error::FileError;
 use crate::files::write_whole;
 
@@ -47,18 +49,15 @@ pub fn encode_map(
     kind: MapKind,
     bins: &DepthBins,
 ) -> Result<Option<Vec<u8>>, ConditionError> {
-    let encoded = match kind {
-        MapKind::Color | MapKind::Boxes | MapKind::Map => {
-            camera.rgb(kind).map(|rgb| encode_rgb(path, rgb, camera.size()))
-        }
-        MapKind::Class => {
-            camera.class.as_ref().map(|class| encode(path, class, camera.size(), ExtendedColorType::L8))
-        }
-        MapKind::Depth | MapKind::Instance | MapKind::Point => gray_16(path, camera, kind, bins)?
-            .map(|map| encode(path, bytemuck::cast_slice(&map), camera.size(), ExtendedColorType::L16)),
-        MapKind::Tensor => None,
+    let encoded = match camera.pixels(kind) {
+        Some(MapPixels::Rgb(rgb)) => encode_rgb(path, rgb, camera.size())?,
+        Some(MapPixels::Class(class)) => encode(path, class, camera.size(), ExtendedColorType::L8)?,
+        _ => match gray_16(path, camera, kind, bins)? {
+            Some(map) => encode(path, bytemuck::cast_slice(&map), camera.size(), ExtendedColorType::L16)?,
+            None => return Ok(None),
+        },
     };
-    Ok(encoded.transpose()?)
+    Ok(Some(encoded))
 }
 
 /// Returns the samples of a map of 16 bits: depth as bins over the whole range, instance and point numbers.
@@ -73,12 +72,10 @@ pub fn gray_16(
     bins: &DepthBins,
 ) -> Result<Option<Vec<u16>>, ConditionError> {
     let value = |depth_m: &f32| bins.png_value(bins.bin(*depth_m));
-    let numbers = |map: &Option<Vec<u32>>| map.as_ref().map(|map| to_u16(map, kind, path)).transpose();
-    match kind {
-        MapKind::Depth => Ok(camera.depth_m.as_ref().map(|map| map.iter().map(value).collect())),
-        MapKind::Instance => numbers(&camera.instance),
-        MapKind::Point => numbers(&camera.point),
-        MapKind::Color | MapKind::Boxes | MapKind::Map | MapKind::Class | MapKind::Tensor => Ok(None),
+    match camera.pixels(kind) {
+        Some(MapPixels::Depth(map)) => Ok(Some(map.iter().map(value).collect())),
+        Some(MapPixels::Number(map)) => to_u16(map, kind, path).map(Some),
+        Some(MapPixels::Rgb(_) | MapPixels::Class(_) | MapPixels::Channels(_)) | None => Ok(None),
     }
 }
 

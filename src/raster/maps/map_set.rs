@@ -30,6 +30,32 @@ pub enum MapKind {
     Tensor = 1 << 18,
 }
 
+/// Type of a map's pixels. Writers, contact sheets and Python treat all maps of a type alike.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum PixelType {
+    /// RGB levels, black where empty.
+    Rgb,
+    /// Camera depth in meters, `f32::INFINITY` in memory where empty.
+    Depth,
+    /// Coarse class in 8 bits, 0 where empty.
+    Class,
+    /// Number in 32 bits, 0 where empty.
+    Number,
+    /// Channels of the network input, which are no image.
+    Channels,
+}
+
+/// Description of a kind of map.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct MapDescription {
+    /// Name of files, arrays and command-line values.
+    pub name: &'static str,
+    /// Type of the pixels.
+    pub pixels: PixelType,
+    /// Whether contact sheets and pages show the map; point numbers carry no visual information.
+    pub is_shown: bool,
+}
+
 impl MapKind {
     /// All kinds, in the order of files and sheets.
     pub const ALL: [Self; 8] = [
@@ -43,18 +69,24 @@ impl MapKind {
         Self::Tensor,
     ];
 
+    /// Returns the description of the kind.
+    pub fn description(self) -> MapDescription {
+        let (name, pixels) = match self {
+            Self::Color => ("color", PixelType::Rgb),
+            Self::Depth => ("depth", PixelType::Depth),
+            Self::Class => ("class", PixelType::Class),
+            Self::Instance => ("instance", PixelType::Number),
+            Self::Boxes => ("boxes", PixelType::Rgb),
+            Self::Map => ("map", PixelType::Rgb),
+            Self::Point => ("point", PixelType::Number),
+            Self::Tensor => ("tensor", PixelType::Channels),
+        };
+        MapDescription { name, pixels, is_shown: self != Self::Point }
+    }
+
     /// Returns the name used for files, arrays and command-line values.
     pub fn name(self) -> &'static str {
-        match self {
-            Self::Color => "color",
-            Self::Depth => "depth",
-            Self::Class => "class",
-            Self::Instance => "instance",
-            Self::Boxes => "boxes",
-            Self::Map => "map",
-            Self::Point => "point",
-            Self::Tensor => "tensor",
-        }
+        self.description().name
     }
 }
 
