@@ -1,13 +1,22 @@
 #!/usr/bin/env bash
-# Installs the build and test dependencies other than the Rust toolchain: C and C++ compilers (for SQLite and the video
-# encoder), a Vulkan loader, a CPU driver (Mesa's lavapipe), the validation layer, and Python (for planners in the tests, and
-# for the Python package).
-# Also installs a second driver, SwiftShader, if a package provides it; without it, tests on a second driver are skipped.
-# Prints nothing if everything is installed.
+# Checks the build and test dependencies other than the Rust toolchain: ci/setup.sh [--yes]
+#
+# These are C and C++ compilers (for SQLite and the video encoder), a Vulkan loader, a CPU driver (Mesa's lavapipe), the
+# validation layer, and Python (for planners in the tests, and for the Python package). Optional is a second driver,
+# SwiftShader; without it, tests on a second driver are skipped.
+# Lists what is missing and the command that installs it. Installs it with --yes, or if CI is set in the environment.
+# Prints nothing if everything is installed; exits with 1 if something required is missing.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
 say() { echo "setup: $*" >&2; }
+
+install=${CI:+yes}
+case "${1:-}" in
+    --yes) install=yes ;;
+    "") ;;
+    *) say "usage: ci/setup.sh [--yes]"; exit 2 ;;
+esac
 
 # Succeeds if any of the given globs matches a file.
 any_file() {
@@ -71,7 +80,7 @@ apt() {
     "${root[@]}" env DEBIAN_FRONTEND=noninteractive apt-get "$@"
 }
 
-install() {
+install_packages() {
     if ! command -v apt-get >/dev/null; then
         say "expected a C++ compiler, the Vulkan loader, a driver, the validation layer and Python, found no $*"
         say "install them with this system's package manager (Fedora: gcc-c++ vulkan-loader mesa-vulkan-drivers" \
@@ -102,9 +111,18 @@ install_swiftshader() {
 }
 
 check_cargo
+optional=()
+has_swiftshader || optional=(chromium-common)
 mapfile -t packages < <(missing)
+if [ -z "$install" ] && [ "$((${#packages[@]} + ${#optional[@]}))" -gt 0 ]; then
+    [ "${#packages[@]}" -eq 0 ] || say "missing: ${packages[*]}"
+    [ "${#optional[@]}" -eq 0 ] || say "missing, for tests on a second driver only: ${optional[*]}"
+    say "run ci/setup.sh --yes, or: sudo apt-get install --no-install-recommends ${packages[*]} ${optional[*]}"
+    [ "${#packages[@]}" -eq 0 ]
+    exit
+fi
 if [ "${#packages[@]}" -gt 0 ]; then
-    install "${packages[@]}"
+    install_packages "${packages[@]}"
     mapfile -t packages < <(missing)
     if [ "${#packages[@]}" -gt 0 ]; then
         say "expected files of ${packages[*]} after installing them, found none"

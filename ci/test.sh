@@ -91,6 +91,8 @@ run_page() {
 step ci/setup.sh
 step cargo fmt --all --check
 step python3 ci/cycles.py
+step python3 ci/readme.py
+step python3 ci/book.py
 step cargo clippy "${packages[@]}" --all-targets --locked -- -D warnings
 # The smallest builds: the core without formats, and the command without town, network and video.
 step cargo clippy -p point-skeleton --no-default-features --locked -- -D warnings

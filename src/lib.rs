@@ -8,17 +8,17 @@
 //! ```no_run
 //! use point_skeleton::{EgoOffset, Log, RenderOptions, Renderer, Skeleton};
 //!
-//! # fn main() -> Result<(), point_skeleton::Error> {
-//! let log = Log::open("nuscenes:/data/nuscenes@v1.0-mini#scene-0061")?;
-//! let skeleton = Skeleton::build(&log, "out/skeleton", &Default::default())?;
-//! let mut renderer = Renderer::new(&skeleton, RenderOptions::default())?;
-//! for frame in log.frames() {
-//!     let one_lane_left = EgoOffset { left_m: 3.5, ..EgoOffset::default() };
-//!     let maps = renderer.render(&frame.moved(one_lane_left))?;
-//!     maps.write(format!("out/maps/{}", frame.name))?;
+//! fn main() -> Result<(), point_skeleton::Error> {
+//!     let log = Log::open("nuscenes:/data/nuscenes@v1.0-mini#scene-0061")?;
+//!     let skeleton = Skeleton::build(&log, "out/skeleton", &Default::default())?;
+//!     let mut renderer = Renderer::new(&skeleton, RenderOptions::default())?;
+//!     for frame in log.frames() {
+//!         let one_lane_left = EgoOffset { left_m: 3.5, ..EgoOffset::default() };
+//!         let maps = renderer.render(&frame.moved(one_lane_left))?;
+//!         maps.write(format!("out/maps/{}", frame.name))?;
+//!     }
+//!     Ok(())
 //! }
-//! # Ok(())
-//! # }
 //! ```
 //!
 //! Data flows one way: [`dataset`] → [`skeleton`] → [`scene`] → [`raster`] → [`conditions`]. To splat your
@@ -26,8 +26,14 @@
 //! modules, `docs/CONDITIONS.md` the map definitions.
 //!
 //! # Features
-//! `nuscenes`, `nuplan` and `av2` are readers of data sets; `exr` writes maps as OpenEXR files. All are on by
-//! default.
+//! All features are on by default.
+//!
+//! | feature | adds |
+//! |---|---|
+//! | `nuscenes` | reader of the nuScenes layout |
+//! | `nuplan` | reader of nuPlan logs (SQLite) |
+//! | `av2` | reader of Argoverse 2 sensor logs (Feather) |
+//! | `exr` | maps as OpenEXR files |
 
 pub mod cloud;
 pub mod conditions;
