@@ -11,7 +11,7 @@ use point_skeleton::cloud::Point;
 use point_skeleton::geometry::{Camera, View};
 use point_skeleton::raster::{Instance, MapKind, MapSet, SplatJob, SplatSchedule, create, rgb_of};
 
-/// Writes an image of a sphere of radius 1 m, 5 m in front of a camera that looks along z.
+/// Writes an image of a sphere with radius 1 m, 5 m in front of a camera that looks along z.
 pub fn run(kind: RasterizerKind, out: &Path) -> Result<(), Box<dyn std::error::Error>> {
     let point = |i: u32| {
         let (y, angle) = (1.0 - f64::from(2 * i + 1) / 1e5, f64::from(i) * 2.399_963);

@@ -2,8 +2,8 @@
 //!
 //! # How it works
 //! The device renders one state while the host works on the previous one ([`Pipeline`]), and another thread
-//! writes the results ([`write_beside`]). The order of the results is that of the states, and so are the
-//! bytes that are written.
+//! writes the results ([`write_beside`]). Results have the order of the states, and so have the written
+//! bytes.
 
 use std::collections::VecDeque;
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};

@@ -242,7 +242,7 @@ impl<'a> Renderer<'a> {
         self.clouds.instances(state, &self.maps.selection)
     }
 
-    /// Returns the number of points of all clouds.
+    /// Returns the point count of all clouds.
     pub fn points(&self) -> usize {
         self.clouds.cloud_set().iter().map(|cloud| cloud.len()).sum()
     }

@@ -19,7 +19,7 @@ use crate::{Error, Maps, Renderer};
 const INDEX: &str = "index.json";
 const META: &str = "meta.json";
 
-/// Output folder of a sequence of maps.
+/// Output folder for a sequence of maps.
 pub struct SequenceWriter<'a> {
     /// The folder.
     pub folder: OutputFolder,

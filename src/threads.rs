@@ -10,7 +10,7 @@ use std::io;
 use std::sync::{Mutex, PoisonError, mpsc};
 use std::thread::{Builder, JoinHandle, Scope, ScopedJoinHandle};
 
-/// Variables that set the number of threads of rayon's pool: the second one if the first is not set.
+/// Variables that set the thread count of rayon's pool: the second one if the first is not set.
 pub const POOL_VARIABLES: [&str; 2] = ["RAYON_NUM_THREADS", "RAYON_RS_NUM_CPUS"];
 /// Description of the pool in errors.
 const POOL: &str = "the threads for parallel work";
@@ -161,8 +161,8 @@ pub(crate) fn of_cpu_driver() -> usize {
     2 * asked.unwrap_or_else(|| processors().max(online_processors())).min(MOST) + 2
 }
 
-/// Returns the number of processors of the machine, which drivers use whatever this process is limited to; 0
-/// if unknown.
+/// Returns the machine's processor count, which drivers use whatever this process is limited to; 0 if
+/// unknown.
 fn online_processors() -> usize {
     let stat = std::fs::read_to_string("/proc/stat").unwrap_or_default();
     let is_processor = |line: &&str| line.strip_prefix("cpu").is_some_and(|rest| !rest.starts_with(' '));

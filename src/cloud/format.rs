@@ -108,7 +108,7 @@ impl PointOutput {
     }
 }
 
-/// Kind of the file of an origin.
+/// File kind of an origin.
 const ORIGIN: FileKind =
     FileKind { name: "an origin of points", begin: b"{\n  \"origin\": [", marks: &[b"]\n}"] };
 

@@ -8,8 +8,8 @@ use super::{Bounds, Point};
 const CELLS: f32 = 1024.0;
 
 /// Returns the point indices in Morton order over cubic cells, 1024 along the longest side of the bounds.
-/// Points of one cell keep their order. `None` if the points are already sorted. Independent of the number of
-/// threads.
+/// Points of one cell keep their order. `None` if the points are already sorted. Does not depend on the
+/// number of threads.
 pub(crate) fn morton_order(points: &[Point], bounds: &Bounds) -> Option<Vec<u32>> {
     let side = (0..3).map(|axis| bounds.max[axis] - bounds.min[axis]).fold(0.0, f32::max);
     let cells_per_m = if side > 0.0 { CELLS / side } else { 0.0 };

@@ -13,7 +13,7 @@ const MAX_HEADER_BYTES: usize = 10_000;
 /// Bytes before the text of a header: magic, version, and length.
 const FIXED_BYTES: usize = 10;
 
-/// Reads the header of a file of `file_bytes` bytes. Also returns its length in bytes.
+/// Reads the header of a file with `file_bytes` bytes. Also returns its length in bytes.
 ///
 /// # Errors
 /// Fails if the file is no NPY file, or its header does not describe a plain array.
@@ -74,7 +74,7 @@ fn read_bytes(reader: &mut impl Read, file_bytes: u64, path: &Path) -> Result<Ve
     Ok(bytes)
 }
 
-/// Returns whether a header text is as simple as that of a numeric array. Nesting is limited, and the number
+/// Returns whether a header text is a plain one, as numeric arrays have. Nesting is limited, and the number
 /// of (decimal) digits is so small that no product of the numbers can overflow 64 bits.
 fn is_plain(text: &[u8]) -> bool {
     let count = |wanted: &dyn Fn(u8) -> bool| text.iter().filter(|b| wanted(**b)).count();

@@ -90,7 +90,7 @@ impl Votes {
 pub struct Precision {
     /// Number of such points.
     pub far_points: usize,
-    /// Maximum rounding error of one of their coordinates, meters.
+    /// Maximum rounding error of their coordinates, meters.
     pub error_m: f64,
 }
 

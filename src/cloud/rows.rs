@@ -14,7 +14,7 @@ pub struct PointFile {
     /// Points relative to [`PointFile::origin`]. A row with a non-finite coordinate has NaN in all three and
     /// is never rendered.
     pub points: Vec<Point>,
-    /// Origin subtracted from the coordinates before conversion to `f32`, meters: that of
+    /// Origin subtracted from the coordinates before conversion to `f32`, meters: see
     /// [`origin_of`](super::origin_of). Nonzero only for double precision far from zero.
     pub origin: DVec3,
     /// Number of rows with a NaN or infinite coordinate.
@@ -143,7 +143,7 @@ impl Collector<'_> {
         Ok(())
     }
 
-    /// Returns the level of a value; that of black if it is not finite.
+    /// Returns the level of a value; values that are not finite count as black.
     fn near_level(&self, value: f64) -> Result<u8, FileError> {
         let expected = || format!("colors of 0 to {}", self.colors.max());
         let level = if value.is_finite() { self.colors.near_level(value) } else { Some(0) };

@@ -21,8 +21,7 @@ pub struct Captions(BTreeMap<String, Caption>);
 enum Caption {
     /// The whole text.
     Text(String),
-    /// Parts of the captions of the nuPlan networks of *Point as Skeleton*, in the format of their
-    /// `nuplan_text.json`.
+    /// Parts of captions for the nuPlan networks of *Point as Skeleton*, in the format of `nuplan_text.json`.
     Parts {
         #[serde(skip_serializing_if = "Option::is_none")]
         time: Option<String>,
@@ -32,7 +31,7 @@ enum Caption {
 }
 
 impl Caption {
-    /// Content of a file of captions.
+    /// Content of a caption file.
     const EXPECTED: &str =
         r#"{"LOG or TOKEN": "caption"} or {"LOG": {"time": "daytime", "weather": "clear"}}"#;
 
@@ -86,17 +85,17 @@ impl Captions {
         values.into_iter().map(caption).collect::<Result<_, _>>().map(Self)
     }
 
-    /// Returns the caption of an image: its own, that of the log, the prompt, or the description in the data
-    /// set; empty without any.
+    /// Returns the caption of an image: its own, else the log's, the prompt, or the data set's description;
+    /// empty without any.
     pub fn of<'a>(&'a self, token: Option<&str>, log: &'a Recording, prompt: &'a PromptParts) -> String {
         let given = token.and_then(|token| self.0.get(token)).or_else(|| self.0.get(&log.name));
         let given = given.map(|caption| caption.text(log));
         given.or_else(|| prompt.prompt()).unwrap_or_else(|| log.description.clone())
     }
 
-    /// Returns the captions of the frames of a log: that of the first of a frame's images which has one, in
-    /// the order of the cameras, or that of the log. A frame without either has the caption of the frame
-    /// before, or none. `None` if no caption is of this log.
+    /// Returns the captions of a log's frames: the first caption among a frame's images in camera order, else
+    /// the log's. A frame without either has the caption of the frame before, or none. `None` if no caption
+    /// is of this log.
     pub fn of_frames(&self, log: &Recording) -> Option<FrameCaptions> {
         let of_log = self.0.get(&log.name);
         let mut captions: Vec<(i64, String)> = Vec::new();
@@ -118,8 +117,8 @@ impl Captions {
 pub struct FrameCaptions(Vec<(i64, String)>);
 
 impl FrameCaptions {
-    /// Returns the caption at a time, absolute microseconds: that of the last frame up to then; empty before
-    /// the first frame with a caption.
+    /// Returns the caption at a time, absolute microseconds: the caption of the last frame up to then; empty
+    /// before the first frame with one.
     pub fn at(&self, t_us: i64) -> &str {
         let after = self.0.partition_point(|(begin_us, _)| *begin_us <= t_us);
         after.checked_sub(1).map_or("", |place| &self.0[place].1)

@@ -16,14 +16,14 @@ use crate::geometry::{Camera, Lens, View};
 use crate::memory::{Need, reserve};
 use crate::scene::SceneState;
 
-/// Maximum ratio of a side of the pinhole image to the same side of the camera's image.
+/// Maximum ratio between a side of the pinhole image and the same side of the camera's image.
 const MOST_GROWTH: u32 = 4;
 
 /// Memory per pixel while a warp is computed: its ray, and its entry in the table.
 const RAY_BYTES: u64 = (size_of::<Option<DVec2>>() + size_of::<u32>()) as u64;
 
-/// Distorts the maps of a sequence of steps; the warp of a camera is computed once and reused while the
-/// cameras stay the same.
+/// Distorts the maps of consecutive steps; a camera's warp is computed once and reused while the cameras stay
+/// the same.
 #[derive(Clone, Debug)]
 pub struct Distorter {
     options: ConditionOptions,

@@ -26,7 +26,7 @@ fn pixel_bytes(kind: MapKind) -> u64 {
     }
 }
 
-/// Estimates the memory of the maps of a step, bytes, without the rasterizer's.
+/// Estimates the memory for the maps of a step, bytes, without the rasterizer's.
 fn step_bytes(views: &[View], options: &ConditionOptions) -> u64 {
     let each: u64 = options.maps.iter().map(pixel_bytes).sum();
     let filters = options.color_filter.needs_depth() && options.out_size.is_some();
@@ -39,7 +39,7 @@ fn step_bytes(views: &[View], options: &ConditionOptions) -> u64 {
     each * written + if filters { FULL_COLOR_BYTES * largest } else { 0 }
 }
 
-/// Reserves the memory of the maps of a step.
+/// Reserves memory for the maps of a step.
 pub(super) fn reserve_step(views: &[View], options: &ConditionOptions) -> Result<Reservation, MemoryError> {
     let bytes = step_bytes(views, options);
     reserve(bytes, || need(views, options, bytes))

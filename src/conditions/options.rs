@@ -62,8 +62,7 @@ pub struct ConditionOptions {
     pub depth_embedding: DepthEmbedding,
     /// How layouts are drawn.
     pub layout: LayoutStyle,
-    /// Scales of line widths by view, for views that are not those of the recorded images (see
-    /// [`Self::line_scale`]).
+    /// Line-width scales by view, for views that differ from the recorded images (see [`Self::line_scale`]).
     #[serde(skip)]
     pub line_scales: Option<Vec<f32>>,
 }
@@ -76,8 +75,7 @@ impl ConditionOptions {
         View { camera, camera_from_world: view.camera_from_world }
     }
 
-    /// Returns the width at which a view is drawn relative to that of its camera's own image, which scales
-    /// the lines of layouts.
+    /// Returns a view's width relative to its camera's own image, which scales the lines of layouts.
     pub fn line_scale(&self, view: &View) -> f32 {
         self.drawn_view(view).camera.width as f32 / view.camera.width as f32
     }

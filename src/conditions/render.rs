@@ -87,7 +87,7 @@ fn add_layouts(cameras: &mut [CameraConditions], layouts: Layouts) {
     }
 }
 
-/// Step in flight on the rasterizer. Steps finish in the order in which they were started, with at most
+/// Step in flight on the rasterizer. Steps finish in the order they were started, with at most
 /// [`FRAMES_IN_FLIGHT`](crate::raster::FRAMES_IN_FLIGHT) at a time.
 #[derive(Debug)]
 pub struct StepInFlight {
@@ -203,7 +203,7 @@ impl Points {
     }
 }
 
-/// Converts the rasterizer's maps to those of the contract.
+/// Converts the rasterizer's maps to the maps of the contract.
 fn fill(camera: &mut CameraConditions, maps: ViewMaps<'_>, options: &ConditionOptions) {
     let wants = |kind| options.maps.contains(kind);
     camera.color = wants(MapKind::Color).then(|| maps.rgb_class.iter().map(|p| rgb_of(*p)).collect());
@@ -231,7 +231,7 @@ fn mean_color(
     if filter == ColorFilter::ValidArea {
         return Ok(reduce::valid_area(&color, &maps.depth_m, from, to));
     }
-    // Surfaces reach over gaps of one pixel of the result to each side, and of two up and down.
+    // Surfaces reach over gaps up to one result pixel to each side, and two up and down.
     let radius = from.height.div_ceil(to.height).max(from.width.div_ceil(to.width));
     Ok(reduce::valid_area(&color, &without_hidden(&maps.depth_m, from, radius as usize), from, to))
 }

@@ -10,9 +10,9 @@ use serde::Serialize;
 
 use super::DepthBins;
 
-/// Number of channels of the point conditions: color, depth, sines, cosines.
+/// Channel count of the point conditions: color, depth, sines, cosines.
 pub const POINT_CHANNELS: usize = 3 + 1 + 2 * FREQUENCIES;
-/// Number of channels of the layout: boxes, then map.
+/// Channel count of the layout: boxes, then map.
 pub const LAYOUT_CHANNELS: usize = 6;
 /// Number of sines (and of cosines) in the depth embedding.
 pub const FREQUENCIES: usize = 8;

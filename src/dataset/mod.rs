@@ -70,8 +70,7 @@ pub trait LogReader: Send + Sync {
     /// Fails if the file is missing or violates its format.
     fn read_sweep(&self, record: &SweepRecord) -> Result<Sweep, DatasetError>;
 
-    /// Returns the number of points of a sweep from its header and size; `None` if the sweep is generated on
-    /// reading.
+    /// Returns a sweep's point count from its header and size; `None` if the sweep is generated on reading.
     ///
     /// # Errors
     /// Fails as [`LogReader::read_sweep`], except for errors in the points themselves.
@@ -122,8 +121,8 @@ pub trait LogReader: Send + Sync {
 
 /// Renders ground-truth images of a synthetic log from any pose.
 pub trait ViewRenderer {
-    /// Renders an image per view, in their order. The views' world is the global frame. The actors are those
-    /// of the log at that time unless given.
+    /// Renders an image per view, in their order. The views' world is the global frame. The actors default to
+    /// the log's at that time.
     ///
     /// # Errors
     /// Fails if the log does not contain an actor or if rendering fails.

@@ -28,8 +28,8 @@ pub enum RingMeaning {
 /// Whether recorded images have the lens distortion that the calibration states.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum ImageDistortion {
-    /// As usual for the layout: nuPlan's images are distorted, those of nuScenes and Argoverse 2 are
-    /// rectified.
+    /// As usual for the layout: nuPlan's images are distorted; nuScenes and Argoverse 2 provide rectified
+    /// images.
     #[default]
     Usual,
     /// Images are as the lens recorded them.

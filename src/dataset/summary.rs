@@ -27,7 +27,7 @@ pub struct LogSummary {
     pub seconds: Option<f64>,
     /// Number of sweeps.
     pub sweeps: usize,
-    /// Number of points of all sweeps, from file sizes; `None` if these do not determine it.
+    /// Point count of all sweeps, from file sizes; `None` if these do not determine it.
     pub points: Option<u64>,
     /// Cameras by channel.
     pub cameras: Vec<CameraSummary>,
@@ -39,9 +39,9 @@ pub struct LogSummary {
     pub boxes_without_points: Option<usize>,
     /// Tracks and boxes by category.
     pub categories: BTreeMap<String, BoxCounts>,
-    /// Number of frames of each scenario.
+    /// Frame count of each scenario.
     pub scenarios: BTreeMap<String, usize>,
-    /// Number of states of traffic lights, by color.
+    /// Traffic light states by color, counted.
     pub traffic_lights: BTreeMap<String, usize>,
     /// Path of the ego.
     pub ego: EgoPath,
@@ -149,8 +149,8 @@ impl LogSummary {
     }
 }
 
-/// Returns the number of points of all sweeps, derived from file sizes and `None` if they do not determine
-/// it, and the errors of damaged sweep files.
+/// Returns the point count of all sweeps, derived from file sizes (`None` if they do not determine it), and
+/// the errors of damaged sweep files.
 fn sweeps(dataset: &dyn LogReader) -> (Option<u64>, Vec<String>) {
     let records: Vec<_> = dataset.recording().frames.iter().flat_map(|f| &f.sweeps).collect();
     let results: Vec<_> = records.par_iter().map(|record| dataset.check_sweep(record)).collect();

@@ -30,7 +30,7 @@ pub struct DataRoot {
 }
 
 impl DataRoot {
-    /// Expectation of the error of a path that leads out of the folder.
+    /// Expectation in the error for a path that leads out of the folder.
     pub const BELOW: &str = "a path below the data set's folder";
 
     /// Resolves a name from the data to a path. Backslashes, which Windows writes, separate folders unless a

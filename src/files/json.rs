@@ -61,7 +61,8 @@ pub struct Difference {
     pub values: [String; 2],
 }
 
-/// Returns the first difference between two documents: of objects, that of the first key whose values differ.
+/// Returns the first difference between two documents: for objects, the error of the first key whose values
+/// differ.
 pub fn difference(a: &Value, b: &Value) -> Option<Difference> {
     if a == b {
         return None;
@@ -96,7 +97,7 @@ fn parse_repaired<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, String> {
         let path = track.path();
         let place = place(&text, &path, &error);
         match error.classify() {
-            // The document itself, whose fields are not those of a record.
+            // The document itself, whose fields belong to no record.
             Category::Data if path.iter().len() == 0 && !error.to_string().contains(" field ") => {
                 wording::document(&error, &text)
             }
@@ -137,8 +138,8 @@ fn shown(segments: &[&Segment]) -> String {
     text.strip_prefix('.').map_or_else(|| text.clone(), str::to_owned)
 }
 
-/// Returns JSON without a byte order mark, in which numbers that JSON lacks are strings. Those are refused
-/// where a number is read, and skipped with the fields that are not.
+/// Returns JSON without a byte order mark, with numbers that JSON lacks as strings. Those are refused where a
+/// number is read, and skipped with the fields that are not.
 fn repaired(bytes: &[u8]) -> Cow<'_, [u8]> {
     let bytes = bytes.strip_prefix(BYTE_ORDER_MARK).unwrap_or(bytes);
     let mut result: Vec<u8> = Vec::new();

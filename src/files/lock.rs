@@ -77,7 +77,7 @@ impl LockedFile {
     }
 
     /// Writes a signature with the process id, which other processes show in their messages. An older
-    /// signature is overwritten without a moment in which there is none.
+    /// signature is overwritten without a moment where none exists.
     pub(super) fn sign(&mut self) -> std::io::Result<()> {
         let text = format!("{SIGNATURE}{}\n", std::process::id());
         self.0.seek(SeekFrom::Start(0))?;

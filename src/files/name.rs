@@ -27,7 +27,7 @@ pub struct NameError {
     pub found: String,
 }
 
-/// Names of files and folders that commands write beside those of cameras, in lower case.
+/// File and folder names that commands write beside camera folders, in lower case.
 const RESERVED: [&str; 16] = [
     "birdseye.png",
     "cache",

@@ -3,11 +3,11 @@
 use std::borrow::Cow;
 use std::path::Path;
 
-/// Maximum number of characters of a value in a message.
+/// Maximum length of a value in a message, characters.
 const MAX_VALUE: usize = 400;
-/// Maximum number of characters of a path in a message: more than usual folders need.
+/// Maximum length of a path in a message, characters: more than usual folders need.
 const MAX_PATH: usize = 1024;
-/// Maximum number of characters of a line.
+/// Maximum length of a line, characters.
 const MAX_LINE: usize = 8192;
 
 /// Formats a value for a message, in one line: escapes control characters, and shortens a long value to its

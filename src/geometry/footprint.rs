@@ -54,9 +54,9 @@ impl Footprint {
         })
     }
 
-    /// Returns the time interval in which two rectangles overlap while `other` moves at a velocity relative
-    /// to `self` (meters per second) without turning. Seconds from now, may be negative or infinite. `None`
-    /// if they never overlap.
+    /// Returns the time interval while two rectangles overlap, with `other` moving at a velocity relative to
+    /// `self` (meters per second) without turning. Seconds from now, may be negative or infinite. `None` if
+    /// they never overlap.
     pub fn meets(&self, other: &Self, velocity: DVec2) -> Option<Range<f64>> {
         let mut times_s = f64::NEG_INFINITY..f64::INFINITY;
         for axis in self.axes(other) {

@@ -104,7 +104,7 @@ impl Polyline {
     }
 
     /// Returns the station of a point's foot on the whole path, and the distance from the path itself,
-    /// meters. Beyond an end, the distance is that to the end, and the station that of the foot on the
+    /// meters. Beyond an end, the distance is measured to the end, and the station to the foot on the
     /// straight extension.
     pub fn nearest(&self, point: DVec2) -> (f64, f64) {
         let mut best = (0.0, f64::INFINITY);

@@ -144,7 +144,7 @@ impl Buffer {
     /// buffer or it is already mapped.
     pub fn map(&self) -> Result<Mapped<'_>, GpuError> {
         let (expected, name) = (self.size, self.name.clone());
-        // Some drivers map all memory, but only that of the other kinds is coherent.
+        // Some drivers map all memory, but only the other kinds are coherent.
         let allocation = self.allocation.as_ref().filter(|_| self.memory != Memory::Device);
         let pointer = allocation.and_then(Allocation::mapped_ptr);
         let Some(pointer) = pointer else { return Err(GpuError::Range { expected, found: 0, name }) };
@@ -167,7 +167,7 @@ impl Buffer {
     /// Returns [`GpuError::Range`] for device-only memory.
     pub fn bytes_mut(&mut self) -> Result<&mut [u8], GpuError> {
         let (size, name) = (self.size, &self.name);
-        // Some drivers map all memory, but only that of the other kinds is coherent.
+        // Some drivers map all memory, but only the other kinds are coherent.
         let allocation = self.allocation.as_mut().filter(|_| self.memory != Memory::Device);
         let mapped = allocation.and_then(Allocation::mapped_slice_mut);
         let bytes = mapped.and_then(|bytes| bytes.get_mut(..size as usize));

@@ -18,7 +18,7 @@ pub struct ImageDesc<'a> {
     pub width: u32,
     /// Height, pixels.
     pub height: u32,
-    /// Number of layers of an array image; `None` for a plain image.
+    /// Layer count of an array image; `None` for a plain image.
     pub layers: Option<u32>,
     /// Pixel format.
     pub format: vk::Format,
@@ -45,7 +45,7 @@ pub struct Image {
     pub(super) raw: vk::Image,
     pub(super) view: vk::ImageView,
     pub(super) format: vk::Format,
-    /// Layout in which shaders read it.
+    /// Layout that shaders read it in.
     pub(super) read_layout: vk::ImageLayout,
     width: u32,
     height: u32,
@@ -181,7 +181,7 @@ fn is_depth(format: vk::Format) -> bool {
     format == vk::Format::D32_SFLOAT
 }
 
-/// Returns the layout in which shaders read an image after a pass has drawn it.
+/// Returns the layout that shaders read an image in after a pass has drawn it.
 pub(super) fn read_layout(format: vk::Format) -> vk::ImageLayout {
     if is_depth(format) {
         vk::ImageLayout::DEPTH_STENCIL_READ_ONLY_OPTIMAL

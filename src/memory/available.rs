@@ -132,15 +132,15 @@ fn system(meminfo: &str) -> Option<u64> {
     Some(kib(meminfo, "MemAvailable:")? + kib(meminfo, "SwapFree:").unwrap_or(0))
 }
 
-/// Returns a value of a file of lines `NAME: N kB`, in bytes.
+/// Returns a value from a file with lines `NAME: N kB`, in bytes.
 fn kib(text: &str, name: &str) -> Option<u64> {
     let line = text.lines().find_map(|line| line.strip_prefix(name))?;
     let number: u64 = line.trim().trim_end_matches("kB").trim().parse().ok()?;
     number.checked_mul(1024)
 }
 
-/// Files of a version of control groups: limit, usage, and the entry of `memory.stat` for cached files that
-/// can be dropped.
+/// Files of one control-group version: limit, usage, and the entry of `memory.stat` for cached files that can
+/// be dropped.
 const VERSION_1: [&str; 3] = ["memory.limit_in_bytes", "memory.usage_in_bytes", "total_inactive_file"];
 const VERSION_2: [&str; 3] = ["memory.max", "memory.current", "inactive_file"];
 

@@ -7,7 +7,7 @@ use super::{
 use crate::geometry::{ImageSize, View};
 use crate::memory::{MemoryError, Need, Reservation, reserve};
 
-/// Host memory per point: positions, colors and the keys by which points are sorted.
+/// Host memory per point: positions, colors and sort keys.
 const POINT_BYTES: u64 = 32;
 /// Host memory per point whose copy is in the memory of a device.
 const DEVICE_POINT_BYTES: u64 = 16;
@@ -68,7 +68,7 @@ fn size_of(view: &View) -> ImageSize {
     ImageSize::of(&view.camera)
 }
 
-/// Describes the memory of views of some sizes.
+/// Describes the memory for views with some sizes.
 pub(crate) fn need_of_views(sizes: impl Iterator<Item = ImageSize>, bytes: u64) -> Need {
     let sizes: Vec<ImageSize> = sizes.collect();
     let what = match sizes.iter().max_by_key(|size| size.pixels()) {

@@ -4,7 +4,7 @@ use rayon::prelude::*;
 
 use crate::cloud::{Bounds, Point, morton_order};
 
-/// Points per chunk; the last one of a cloud may have fewer. Also the width of the images of points, and the
+/// Points per chunk; the last one of a cloud may have fewer. Also the width of point images, and the
 /// alignment of a draw's first number.
 pub(super) const CHUNK: usize = 4096;
 /// Points that are culled as one unit, a block: a quarter of a chunk.
@@ -29,9 +29,9 @@ impl Extent {
     }
 }
 
-/// Bounds of the blocks of a group, coordinate by coordinate.
+/// Bounds of a group's blocks, coordinate by coordinate.
 pub(super) struct GroupExtents {
-    /// Bounds of all of them; `None` if none of their points is ever drawn.
+    /// Bounds of all of them; `None` if no point in them is ever drawn.
     pub(super) all: Option<Extent>,
     center: [[f64; GROUP]; 3],
     half: [[f64; GROUP]; 3],
@@ -54,7 +54,7 @@ impl GroupExtents {
         group
     }
 
-    /// Returns the bounds of a block; of no use if none of its points is ever drawn.
+    /// Returns the bounds of a block; they are meaningless if no point in it is ever drawn.
     #[inline(always)]
     pub(super) fn block(&self, block: usize) -> Extent {
         let at = |sides: &[[f64; GROUP]; 3]| [sides[0][block], sides[1][block], sides[2][block]];
@@ -68,7 +68,7 @@ pub(super) struct ChunkedCloud<'a> {
     points: &'a [Point],
     /// Cloud index of each point in chunk order; `None` for the cloud's own order.
     order: Option<Vec<u32>>,
-    /// Bounds of each run of [`CULL_BLOCK`] points, in runs of [`GROUP`] of them.
+    /// Bounds of each run with [`CULL_BLOCK`] points; [`GROUP`] runs together.
     pub(super) groups: Vec<GroupExtents>,
 }
 

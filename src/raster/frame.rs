@@ -31,7 +31,7 @@ pub struct FrameJob<'a> {
     pub occlusion: Occlusion,
     /// Crop of the points; `None` for all points.
     pub crop: Option<Crop>,
-    /// Maps to render; only those of [`MapSet::SPLATTED`] count.
+    /// Maps to render; only maps in [`MapSet::SPLATTED`] count.
     pub maps: MapSet,
     /// Size that all maps are reduced to: color as OpenCV's INTER_LINEAR, all others as its INTER_NEAREST.
     /// `None` for the size of each view.

@@ -127,7 +127,7 @@ impl Visibility {
     }
 }
 
-/// Row length, pixels, from which a vectorized pretest costs less than a test and a branch per pixel.
+/// Minimum row length, pixels, for a vectorized pretest to cost less than a test and a branch per pixel.
 const WIDE: usize = 8;
 
 /// Returns whether a depth is less than any of these; branch-free, so that it compiles to vector comparisons.

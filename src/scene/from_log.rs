@@ -16,8 +16,8 @@ pub fn name_of_time(t_us: i64) -> String {
     t_us.to_string()
 }
 
-/// Displacement of the ego in its own frame. Text form: `forward_m=1,left_m=2,yaw_deg=5`, of which any part
-/// may be omitted.
+/// Displacement of the ego in its own frame. Text form: `forward_m=1,left_m=2,yaw_deg=5`; any part may be
+/// omitted.
 #[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize)]
 pub struct EgoOffset {
     /// Forward, meters.

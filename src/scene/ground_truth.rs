@@ -50,7 +50,7 @@ impl<'a> GroundTruthImages<'a> {
         self.reader.view_renderer().is_some() || ego_follows_log && actors_follow_log
     }
 
-    /// Returns the ground-truth images of all cameras of a state, resized to `size`. In a synthetic log, the
+    /// Returns the ground-truth images of all cameras in a state, resized to `size`. In a synthetic log, the
     /// views are mapped by `drawn` and rendered, with the actors of the state unless they follow the log. In
     /// a recorded log, each camera gets its image that is nearest in time, with the lens distortion removed.
     ///

@@ -192,7 +192,7 @@ mod tests {
     use super::*;
     use crate::geometry::Pose;
 
-    /// Returns the number of states at a rate of a log of three frames in 0.2 s.
+    /// Returns the number of states at a rate, for a log with three frames in 0.2 s.
     fn count(frames: Range<usize>, hz: f64) -> Result<usize, SequenceError> {
         let frame = |i: i64| Frame {
             t_us: i * 100_000,

@@ -17,9 +17,9 @@ use crate::skeleton::{
 pub struct Substitutes {
     /// Templates of kinds that the skeleton lacks. If a kind occurs several times, the first is used.
     pub templates: Vec<TemplateCloud>,
-    /// Points that replace those of an asset, by track.
+    /// Points that replace an asset's, by track.
     pub assets: BTreeMap<String, Vec<Point>>,
-    /// Points that replace those of an asset in color maps alone, by track.
+    /// Points that replace an asset's in color maps only, by track.
     pub color_assets: BTreeMap<String, Vec<Point>>,
 }
 
@@ -58,7 +58,7 @@ pub enum TemplateOrigin {
     Default,
 }
 
-/// Degradation of the assets of a log.
+/// Degradation of a log's assets.
 #[derive(Clone, Debug, Serialize)]
 pub struct AugmentReport {
     /// Seed and ranges.

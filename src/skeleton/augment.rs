@@ -25,9 +25,9 @@ pub struct AugmentOptions {
     pub seed: u64,
     /// Share of the assets that are degraded: half of them are thinned, half reduced to one view.
     pub share: f64,
-    /// Range of the share of points that thinned assets retain, sampled log-uniformly.
+    /// Range of the point share that thinned assets retain, sampled log-uniformly.
     pub ratio: [f64; 2],
-    /// Minimum number of points of a degraded asset; an asset with no more points is unchanged.
+    /// Minimum point count of a degraded asset; an asset with no more points is unchanged.
     pub min_points: usize,
     /// Whether only color maps have the degraded assets, and all other maps the unchanged ones.
     #[serde(skip_serializing_if = "std::ops::Not::not")]
@@ -129,8 +129,8 @@ fn one_a_voxel(points: &[Point], voxel_m: f64) -> Vec<usize> {
     first.into_values().collect::<BTreeSet<_>>().into_iter().collect()
 }
 
-/// Camera of 1024x768 pixels with a horizontal field of view of 90 degrees, at a distance of `RADII_AWAY`
-/// asset radii from the asset's center and level with it.
+/// Camera with 1024x768 pixels and a horizontal field of view of 90 degrees, `RADII_AWAY` asset radii from
+/// the asset's center and level with it.
 const WIDTH: u32 = 1024;
 const HEIGHT: u32 = 768;
 const FOCAL_PX: f64 = 512.0;

@@ -39,12 +39,12 @@ impl Manifest {
         self.background_points() + self.actor_points() + templates
     }
 
-    /// Returns the number of points of the background.
+    /// Returns the point count of the background.
     pub fn background_points(&self) -> usize {
         self.background.iter().map(|c| c.points).sum()
     }
 
-    /// Returns the number of points of all assets.
+    /// Returns the point count of all assets.
     pub fn actor_points(&self) -> usize {
         self.actors.iter().map(|a| a.points).sum()
     }
@@ -111,7 +111,7 @@ impl Manifest {
     }
 }
 
-/// Counts of the assets of a category.
+/// Asset counts of a category.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct CategoryCounts {
     /// Number of assets.

@@ -5,9 +5,9 @@ use super::SplitOptions;
 /// Options for building a skeleton.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct BuildOptions {
-    /// Side of the voxels in which points are merged, meters; 0 retains all points.
+    /// Side of the voxels that merge points, meters; 0 retains all points.
     pub voxel_m: f64,
-    /// The same for the points of actors; `None` for that of the background.
+    /// The same for actor points; `None` for the background's.
     #[serde(default)]
     pub actor_voxel_m: Option<f64>,
     /// Options for separating background and actors.

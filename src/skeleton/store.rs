@@ -228,8 +228,8 @@ impl Skeleton {
         Ok(skeleton)
     }
 
-    /// Returns the checksum of a skeleton's manifest, which has those of all points, as 16 hexadecimal
-    /// digits. `None` if there is no skeleton.
+    /// Returns the checksum of a skeleton's manifest, which contains the checksums of all points, as 16
+    /// hexadecimal digits. `None` if there is no skeleton.
     ///
     /// # Errors
     /// Fails if the manifest cannot be read.
@@ -239,8 +239,7 @@ impl Skeleton {
     }
 
     /// Returns whether the skeleton was built from this recording, rather than from another one or another
-    /// state of the same name. `None` if it has no fingerprints that can be compared, as those of earlier
-    /// versions.
+    /// state of the same name. `None` without comparable fingerprints, as in earlier versions.
     ///
     /// # Errors
     /// Fails if the list of the skeleton's files cannot be read.

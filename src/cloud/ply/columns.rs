@@ -1,4 +1,4 @@
-//! Meaning of the properties of `vertex`.
+//! Meaning of the `vertex` properties.
 
 use std::path::Path;
 

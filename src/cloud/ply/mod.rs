@@ -137,7 +137,7 @@ fn check_header<'h>(header: &'h Header, file_bytes: u64, path: &Path) -> Result<
     Ok(vertex)
 }
 
-/// Minimum number of bytes of a property in the file.
+/// Minimum size of a property in the file, bytes.
 fn least_bytes(data_type: &PropertyType, encoding: Encoding) -> u64 {
     let (PropertyType::Scalar(scalar) | PropertyType::List(scalar, _)) = data_type;
     match (encoding, scalar) {

@@ -36,8 +36,8 @@ struct Place<'a> {
 #[derive(Clone, Copy)]
 struct Value {
     number: f64,
-    /// Bits of a packed color: those of a number of 4 bytes. A double holds such a float or a whole number,
-    /// and so does text.
+    /// Bits of a packed color: a 4-byte number has four. A double holds such a float or a whole number, and
+    /// so does text.
     bits: u32,
 }
 

@@ -20,8 +20,7 @@ pub fn map_rgb(layer: MapLayer) -> [u8; 3] {
     }
 }
 
-/// Returns the segments of the map's outlines in drawing order, with their widths relative to that of wide
-/// lines.
+/// Returns the outline segments of the map in drawing order, with widths relative to wide lines.
 pub(crate) fn map_segments(map: &SceneMap, layers: LayoutLayers, view: &View) -> Vec<(Segment, f32)> {
     let [min, max] = window(view);
     let camera = |p: DVec3| view.camera_from_world.transform_point3(p);
@@ -33,8 +32,8 @@ pub(crate) fn map_segments(map: &SceneMap, layers: LayoutLayers, view: &View) ->
     map.edges_within(min, max).into_iter().filter_map(line).collect()
 }
 
-/// Returns a rectangle in global x and y that bounds everything [`segment`] can return: the bounds of the
-/// corners of the view's frustum, or the whole plane if the view has no finite frustum.
+/// Returns a rectangle in global x and y that bounds everything [`segment`] can return: the bounding box of
+/// the view's frustum corners, or the whole plane if the view has no finite frustum.
 fn window(view: &View) -> [DVec2; 2] {
     let world_from_camera = view.camera_from_world.inverse();
     let camera_from_image = view.camera.intrinsics.inverse();

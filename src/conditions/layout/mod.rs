@@ -27,7 +27,7 @@ pub(crate) const LINE_WIDTH_PX: f32 = 8.0;
 /// Minimum depth of edges, meters.
 pub const NEAR_M: f64 = 0.05;
 
-/// Distance by which the clip rectangle exceeds the image, pixels.
+/// Margin of the clip rectangle around the image, pixels.
 const MARGIN_PX: f64 = 2.0 * LINE_WIDTH_PX as f64;
 
 /// Clips and projects a line between two points in camera coordinates (meters); `None` if no part of it is
@@ -100,7 +100,7 @@ mod tests {
         let direction = (DVec2::new(end.x, end.y)
             - DVec2::new(clipped.from[0].into(), clipped.from[1].into()))
         .normalize();
-        // Projection preserves lines: the image of the line passes through the image of any of its points.
+        // Projection preserves lines: the image of the line passes through the image of any point on it.
         let middle = view.camera.intrinsics * (a + (b - a) * 0.6);
         let middle = DVec2::new(middle.x, middle.y) / middle.z - DVec2::new(end.x, end.y);
         assert!(middle.perp_dot(direction).abs() < 1e-2, "{}", middle.perp_dot(direction));

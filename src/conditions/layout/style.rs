@@ -12,7 +12,7 @@ pub struct LayoutStyle {
     pub map_layers: LayoutLayers,
 }
 
-/// Width of the lines of layouts.
+/// Line width of layouts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum LineWidth {
@@ -51,7 +51,7 @@ impl LayoutStyle {
 }
 
 impl LayoutLayers {
-    /// Returns the width of the lines of a layer, relative to that of wide lines; `None` if it is not drawn.
+    /// Returns a layer's line width relative to wide lines; `None` if it is not drawn.
     pub(super) fn relative_width(self, layer: MapLayer) -> Option<f32> {
         match (self, layer) {
             (Self::Lanes, MapLayer::Lane | MapLayer::DrivableArea | MapLayer::Crossing)

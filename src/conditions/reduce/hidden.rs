@@ -3,19 +3,18 @@
 
 use crate::geometry::ImageSize;
 
-/// Share of its depth by which a pixel may lie behind the surface in front of it.
+/// Fraction of its depth that a pixel may lie behind the surface in front of it.
 const TOLERANCE: f32 = 0.1;
-/// Distance by which it may lie behind it in addition, meters.
+/// Distance that it may lie behind it in addition, meters.
 const TOLERANCE_M: f32 = 0.3;
 /// Vertical radius of the opening relative to the horizontal one: scan lines are farther apart than the
 /// columns of a sweep.
 const HEIGHT: usize = 2;
 
-/// Returns the depths `[H, W]` (`f32::INFINITY` where empty) without those of hidden pixels, which become
-/// empty. The surface in front of a pixel is the morphological opening of depth by a rectangle of `2 radius +
-/// 1` columns and `4 radius + 1` rows: the farthest of the nearest depths of all rectangles, around pixels of
-/// the image, that contain the pixel. A pixel is thus hidden only if every such rectangle contains something
-/// nearer.
+/// Returns the depths `[H, W]` (`f32::INFINITY` where empty); hidden pixels become empty. The surface in
+/// front of a pixel is the morphological opening of depth by a rectangle of `2 radius + 1` columns and `4
+/// radius + 1` rows: the farthest of the nearest depths of all rectangles, around pixels of the image, that
+/// contain the pixel. A pixel is thus hidden only if every such rectangle contains something nearer.
 pub(in super::super) fn without_hidden(depth_m: &[f32], size: ImageSize, radius: usize) -> Vec<f32> {
     let width = size.width as usize;
     let radii = [radius, HEIGHT * radius];
@@ -68,7 +67,7 @@ mod tests {
         assert_eq!(shown(&row, 1, 2), seen);
         // Across rows with half the radius.
         assert_eq!(shown(&row, 13, 1), seen);
-        // A rectangle of 3 columns fits into a gap of 3, one of 5 columns or rows does not.
+        // A rectangle 3 columns wide fits into a gap of 3; one with 5 columns or rows does not.
         let wide = [5.0, 20.0, 20.0, 20.0, 5.0];
         assert_eq!(shown(&wide, 1, 1), [true; 5]);
         assert_eq!(shown(&wide, 1, 2), [true, false, false, false, true]);

@@ -16,7 +16,7 @@ use crate::geometry::ImageSize;
 const PIL_BITS: u32 = 22;
 /// Half of the last retained bit, for rounding.
 const HALF: u64 = 1 << (PIL_BITS - 1);
-/// Shift of the second of two channels packed in one word.
+/// Shift for the second of two channels in one word.
 const SECOND: u32 = 32;
 
 /// Filter weights of one axis, in units of 1/2²². Windows advance monotonically and have the same number of

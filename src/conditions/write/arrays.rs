@@ -89,7 +89,7 @@ fn arrays_of(set: &ConditionSet, kind: MapKind) -> Vec<Array<'_>> {
     found.into_iter().collect()
 }
 
-/// Returns the samples of a map; of the network input, those of its point channels.
+/// Returns the samples of a map; for the network input, its point channels.
 fn bytes(pixels: MapPixels<'_>) -> Option<Cow<'_, [u8]>> {
     Some(match pixels {
         MapPixels::Rgb(map) => Cow::Borrowed(map.as_flattened()),

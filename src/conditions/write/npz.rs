@@ -20,8 +20,7 @@ use crate::files::{FileKind, write_whole};
 /// Deflate level; higher levels take several times longer for little gain on these maps.
 const LEVEL: i64 = 3;
 
-/// Archives of maps, of which the first is color. Those of NumPy have a field between the lengths and the
-/// name.
+/// Archives of maps that begin with color. NumPy's archives have a field between the lengths and the name.
 pub const COLOR_FIRST: FileKind =
     FileKind { name: "an archive of pskel", begin: b"PK\x03\x04", marks: &[b"\x09\0\0\0color.npy"] };
 

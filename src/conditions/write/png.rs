@@ -60,7 +60,7 @@ pub fn encode_map(
     Ok(Some(encoded))
 }
 
-/// Returns the samples of a map of 16 bits: depth as bins over the whole range, instance and point numbers.
+/// Returns the 16-bit samples of a map: depth as bins over the whole range, instance and point numbers.
 /// `None` if the camera has no such map, or if it has other samples. `path` is the file that errors name.
 ///
 /// # Errors
@@ -105,7 +105,7 @@ pub fn encode_rgb(path: &Path, rgb: &[[u8; 3]], size: ImageSize) -> Result<Vec<u
     encode(path, rgb.as_flattened(), size, ExtendedColorType::Rgb8)
 }
 
-/// Encodes samples as PNG; those of 16 bits are in native byte order, as the encoder expects.
+/// Encodes samples as PNG; 16-bit samples are in native byte order, as the encoder expects.
 fn encode(
     path: &Path,
     samples: &[u8],

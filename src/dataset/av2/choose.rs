@@ -59,8 +59,8 @@ pub(super) fn log_name(path: &Path) -> String {
     resolved.file_name().map_or_else(String::new, |name| name.to_string_lossy().into_owned())
 }
 
-/// Returns the folder of a part of the log (`sensors`, `map`). It is below the log by default. With a given
-/// `ROOT`, it is `ROOT/LOG_ID/PART` if that exists, else `ROOT`.
+/// Returns the folder that holds a part of the log (`sensors`, `map`). It is below the log by default. With a
+/// given `ROOT`, it is `ROOT/LOG_ID/PART` if that exists, else `ROOT`.
 pub(super) fn part(log: &Path, root: Option<&Path>, part: &str) -> PathBuf {
     let Some(root) = root else { return log.join(part) };
     let own = root.join(log_name(log)).join(part);

@@ -1,4 +1,4 @@
-//! Column values, independent of the width of the numbers.
+//! Column values, whatever the width of the numbers.
 
 use std::path::Path;
 
@@ -126,7 +126,7 @@ impl<'a> Column<'a> {
         Ok(values)
     }
 
-    /// Returns the values of a batch of floats, each of which is a whole number up to 2⁵³.
+    /// Returns the values of a float batch; all must be whole numbers up to 2⁵³.
     fn whole_floats(&self, part: &ArrayRef) -> Result<Vec<i64>, FileError> {
         let mut numbers = Vec::new();
         if !extend_numbers(&mut numbers, part) {

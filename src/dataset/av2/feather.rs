@@ -227,7 +227,7 @@ fn check_rows(rows: u64, schema: &Schema, sizes: &[u64]) -> Result<(), String> {
         return Err(format!("a batch of {rows} rows in columns of at most {} bytes", bits / 8));
     }
     let mut sizes = sizes.iter();
-    // The number of buffers of other types is not known here, so numbers after such a column are not checked.
+    // The buffer count of other types is not known here, so numbers after such a column are not checked.
     let mut unknown = None;
     for field in schema.fields() {
         let (name, kind) = (field.name(), field.data_type());

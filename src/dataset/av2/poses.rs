@@ -72,8 +72,8 @@ pub(super) fn poses(table: &Table, record: impl Fn(usize) -> String) -> Result<V
     (0..table.rows()).map(pose).collect()
 }
 
-/// Returns the index of the nearest of ascending times, if it is within a tolerance; all in nanoseconds. Ties
-/// go to the earlier one.
+/// Returns the index of the nearest time within a tolerance; `times` ascend, all in nanoseconds. Ties go to
+/// the earlier one.
 pub(super) fn nearest(times_ns: &[i64], t_ns: i64, tolerance_ns: u64) -> Option<usize> {
     let next = times_ns.partition_point(|t| *t < t_ns);
     let candidates = next.saturating_sub(1)..times_ns.len().min(next + 1);

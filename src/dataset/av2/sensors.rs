@@ -14,11 +14,11 @@ use crate::geometry::Pose;
 /// Maximum time difference between a frame and its image, nanoseconds. Ring cameras run at 20 Hz.
 const IMAGE_TOLERANCE_NS: u64 = 50_000_000;
 
-/// Maximum time difference between a frame and its own sweep, nanoseconds: more than rounding by 64-bit
-/// floats, and less than the time in which points of the ego or of actors move by a voxel.
+/// Maximum time difference between a frame and its own sweep, nanoseconds: more than 64-bit floats round, and
+/// less than the ego or an actor needs to move by a voxel.
 const SWEEP_TOLERANCE_NS: u64 = 1_000_000;
 
-/// Kind of a gap: a time without an ego pose, from which a sweep or an image is.
+/// Kind of a gap: the time of a sweep or an image that has no ego pose.
 const NO_POSE_OF_SWEEP: &str = "sweeps without an ego pose";
 const NO_POSE_OF_IMAGE: &str = "images without an ego pose";
 
@@ -139,7 +139,7 @@ pub(super) fn add_images(
         let record = ImageRecord { token, channel, path, t_us, global_from_ego, ego_from_camera, camera };
         records.push((t_ns, record));
     }
-    // The names of images are not known, but that of their folder is. A log without any such folder has no
+    // Image names are not known, but the name of their folder is. A log without any such folder has no
     // images.
     let has_folder = folder.is_dir() || !folder.parent().is_some_and(Path::is_dir);
     let missing = |t_us: i64| match has_folder {

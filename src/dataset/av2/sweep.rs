@@ -13,7 +13,7 @@ const RING: &str = "laser_number";
 
 /// Reads a sweep: x, y, z in meters (floats of any width; the dataset uses 16 bits), intensity 0–255, and the
 /// beam number as ring. Drops and counts points with an empty, NaN or infinite coordinate; other empty values
-/// are 0, and so are those of missing columns.
+/// and missing columns are 0.
 ///
 /// # Errors
 /// Fails if the file is missing, is not a Feather file, lacks coordinates, or has no point with finite ones.

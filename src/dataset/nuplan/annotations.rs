@@ -110,7 +110,7 @@ fn tracks(database: &Database) -> Result<Vec<TrackRow>, DatasetError> {
     Ok(tracks)
 }
 
-/// Reads the tokens of all frames of the log.
+/// Reads all frame tokens of the log.
 pub(super) fn frame_tokens(database: &Database) -> Result<FxHashSet<Vec<u8>>, DatasetError> {
     let mut tokens = FxHashSet::default();
     database.rows(&Query { table: "lidar_pc", columns: &["token"], from: "FROM lidar_pc" }, |row| {

@@ -1,4 +1,4 @@
-//! Times of sweeps and images, compared with those of the ego poses to which they refer.
+//! Times of sweeps and images, compared with the ego poses that they refer to.
 
 use super::database::{Database, Query, hex};
 use crate::dataset::DatasetError;

@@ -147,8 +147,8 @@ fn cameras(
     Ok(cameras)
 }
 
-/// Returns the size, intrinsics and distortion of a row of `camera`. Coefficients are not read if the images
-/// are rectified.
+/// Returns size, intrinsics and distortion from a `camera` row. Coefficients are not read if the images are
+/// rectified.
 fn camera(row: &Row<'_>, option: ImageDistortion, database: &Database) -> Result<Camera, DatasetError> {
     let rows = unpickled(row, 4, "a pickled 3x3 matrix", pickle::Value::matrix)?;
     let is_rectified = row.is_null(5) || option == ImageDistortion::Ignore;
@@ -165,7 +165,7 @@ fn camera(row: &Row<'_>, option: ImageDistortion, database: &Database) -> Result
     Ok(Camera { distortion: Distortion::from_opencv(distortion), ..camera })
 }
 
-/// Returns the distortion coefficients of a row of `camera`, `k1 k2 p1 p2` and `k3` or further zeros.
+/// Returns the distortion coefficients from a `camera` row: `k1 k2 p1 p2`, then `k3` or further zeros.
 fn coefficients(row: &Row<'_>) -> Result<[f64; 5], DatasetError> {
     const EXPECTED: &str = "a pickled list of 4 or 5 numbers";
     let all = unpickled(row, 5, EXPECTED, |value| value.numbers().filter(|all| all.len() >= 4))?;

@@ -19,7 +19,7 @@ use crate::dataset::{Area, DatasetError, Lane, VectorMap};
 use crate::error::FileError;
 use crate::files::{FileName, json};
 
-/// Index file of a folder of maps.
+/// Index file of a map folder.
 const INDEX: &str = "nuplan-maps-v1.0.json";
 
 /// Layer that every map has.

@@ -57,7 +57,7 @@ const MODULE: &str = "nuplan.database.common.data_types";
 const CLASSES: [&str; 3] = ["Translation", "Rotation", "CameraIntrinsic"];
 
 impl Value {
-    /// Returns the numbers of a list of exactly `N`.
+    /// Returns the numbers in a list with exactly `N` entries.
     pub(super) fn vector<const N: usize>(&self) -> Option<[f64; N]> {
         self.numbers()?.try_into().ok()
     }
@@ -67,7 +67,7 @@ impl Value {
         self.list()?.iter().map(Self::number).collect()
     }
 
-    /// Returns the rows of a list of lists.
+    /// Returns the rows in a list that contains lists.
     pub(super) fn matrix<const N: usize, const M: usize>(&self) -> Option<[[f64; M]; N]> {
         self.list()?.iter().map(Self::vector).collect::<Option<Vec<_>>>()?.try_into().ok()
     }

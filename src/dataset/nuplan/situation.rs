@@ -14,7 +14,7 @@ use crate::dataset::{DatasetError, TrafficLight};
 struct Frames<'a> {
     database: &'a Database,
     places: FxHashMap<&'a [u8], usize>,
-    /// Tokens of all frames of the log, loaded on demand.
+    /// All frame tokens of the log, loaded on demand.
     all: Option<FxHashSet<Vec<u8>>>,
     notes: &'a mut Notes,
 }

@@ -7,10 +7,10 @@ use crate::dataset::{DatasetError, LogLocator};
 use crate::error::FileError;
 use crate::files::input::is_taken;
 
-/// Table by which folders of tables are recognized.
+/// Table that identifies a folder of tables.
 const MARK: &str = "scene.json";
 
-/// Beginning of the names of nuScenes' own versions.
+/// Prefix of nuScenes' own version names.
 const USUAL: &str = "v1.0-";
 
 /// Maximum number of folders that an error lists.

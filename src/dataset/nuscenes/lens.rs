@@ -23,7 +23,7 @@ pub(super) struct Lens {
     pub(super) ignored: Option<String>,
 }
 
-/// Coefficients that are not all zero, and the field in which they are.
+/// Coefficients that are not all zero, and the name of their field.
 #[derive(Clone, Debug, PartialEq)]
 struct Given<'a> {
     key: &'a str,
@@ -48,7 +48,7 @@ const MODEL: [&str; 2] = ["distortionmodel", "model"];
 /// Names of fields with single coefficients, in OpenCV's order.
 const SINGLE: [&str; 8] = ["k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"];
 
-/// Names of the model of OpenCV's `projectPoints`, in lower case without separators. Coefficients of other
+/// Names for the model of OpenCV's `projectPoints`, in lower case without separators. Coefficients of other
 /// models differ.
 const OPENCV_MODELS: [&str; 11] = [
     "",
@@ -66,9 +66,8 @@ const OPENCV_MODELS: [&str; 11] = [
 
 /// Returns the lens of a calibrated camera; `record` and `path` are for messages.
 ///
-/// # Errors
-/// Fails if the coefficients apply and are not those of OpenCV: `k1 k2 p1 p2`, and `k3` or further zeros, of
-/// one of [`OPENCV_MODELS`]. Fails if two fields apply that contradict each other.
+/// # Errors Fails if the coefficients apply and follow another model than OpenCV's: `k1 k2 p1 p2`, then `k3`
+/// or further zeros, under a name in [`OPENCV_MODELS`]. Fails if two fields apply that contradict each other.
 pub(super) fn lens(
     calibrated: &CalibratedSensor,
     sensor: &Sensor,

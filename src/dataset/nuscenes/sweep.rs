@@ -65,8 +65,7 @@ fn parse_rows(bytes: &[u8], path: &Path) -> Result<SweepRows, FileError> {
     Ok(sweep)
 }
 
-/// Returns the number of columns of rows without a header, in a file of `length` bytes that begins with
-/// `head`.
+/// Returns the column count of rows without a header, in a file with `length` bytes that begins with `head`.
 fn columns_of(head: &[u8], read: &ReadAt<'_>, length: u64, path: &Path) -> Result<usize, FileError> {
     if let Some(found) = named_format(head) {
         let expected = "rows of floats (x y z intensity ring) or a PCD file";

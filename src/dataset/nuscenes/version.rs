@@ -52,7 +52,7 @@ struct RowsByToken {
     rows: Vec<(u64, RowPlace)>,
 }
 
-/// The field by which rows are assigned to scenes.
+/// The field that assigns rows to scenes.
 #[derive(Deserialize)]
 struct SampleOf<'a> {
     #[serde(borrow)]
@@ -89,7 +89,7 @@ impl Version {
         Ok(Self { folder, scenes, samples, rows: Mutex::new(None) })
     }
 
-    /// Returns whether the tables are those of a locator.
+    /// Returns whether the tables belong to a locator.
     pub(in crate::dataset) fn is_of(&self, locator: &LogLocator) -> bool {
         let folder = version_folder(&locator.path, locator.version.as_deref());
         folder.is_ok_and(|folder| folder == self.folder)

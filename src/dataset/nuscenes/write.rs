@@ -30,7 +30,7 @@ pub fn write_log(root: &Path, version: &str, dataset: &dyn LogReader) -> Result<
 
 /// Options for writing a log.
 pub struct LogWriter<'a> {
-    /// Name of the folder of tables.
+    /// Name of the table folder.
     pub version: &'a str,
     /// Map content beyond the log's [`VectorMap`](crate::dataset::VectorMap); `None` to write no map.
     pub map: Option<&'a MapLayers>,

@@ -27,7 +27,7 @@ pub struct MapLayers {
     pub carparks: Vec<Area>,
     /// Roads between intersections, and intersections.
     pub road_segments: Vec<RoadSegment>,
-    /// Areas of all lanes of a road in one direction.
+    /// Areas that hold all lanes of a road in one direction.
     pub road_blocks: Vec<Area>,
 }
 

@@ -7,7 +7,7 @@ use crate::dataset::{Frame, Recording};
 
 /// Kind of the note on jumps.
 pub(in super::super) const JUMPS: &str = "jumps of the ego by more than 1 km from one pose to the next";
-/// Length from which on a fast movement is a jump, meters.
+/// Minimum length of a jump, meters: shorter fast movements are none.
 const JUMP_M: f64 = 1000.0;
 /// Speed above which a long movement is a jump, meters per second.
 const JUMP_MPS: f64 = 200.0;

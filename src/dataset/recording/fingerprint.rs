@@ -9,7 +9,7 @@ use twox_hash::XxHash3_64;
 use crate::dataset::{Area, Frame, ImageRecord, Lane, Recording, SweepRecord, VectorMap};
 use crate::geometry::{Camera, Pose};
 
-/// Beginning of the fingerprints of this version; those of other versions cannot be compared with them.
+/// Prefix of this version's fingerprints; other versions' cannot be compared with them.
 const MARK: &str = "2-";
 
 impl Recording {
@@ -48,7 +48,7 @@ impl Recording {
 }
 
 impl VectorMap {
-    /// Returns a fingerprint of the content, of the form of [`Recording::fingerprint`].
+    /// Returns a fingerprint of the content, in the form of [`Recording::fingerprint`].
     pub fn fingerprint(&self) -> String {
         let mut hash = Fingerprint::new();
         hash.text(&self.location);
@@ -63,7 +63,7 @@ impl VectorMap {
     }
 }
 
-/// Returns whether a text is a fingerprint that those of this version can be compared with.
+/// Returns whether a text is a fingerprint that can be compared with this version's.
 pub(crate) fn is_fingerprint(text: &str) -> bool {
     text.starts_with(MARK)
 }

@@ -182,7 +182,7 @@ pub struct TrackBox {
 }
 
 impl Recording {
-    /// Returns the content of a file of this log; `None` if it is damaged and [`ReadOptions::missing`] is
+    /// Returns the content of a file in this log; `None` if it is damaged and [`ReadOptions::missing`] is
     /// [`MissingData::Skip`]. The caller counts it.
     ///
     /// # Errors
@@ -225,7 +225,7 @@ impl Recording {
         }
     }
 
-    /// Returns the route at a time: that of the last frame up to it, or of the first frame.
+    /// Returns the route at a time: the last frame's up to it, or else the first frame's.
     pub fn route_at(&self, t_us: i64) -> Option<&NavigationRoute> {
         let frame = self.frames.partition_point(|f| f.t_us <= t_us).saturating_sub(1);
         self.routes.iter().rev().find(|route| route.frame <= frame)

@@ -109,8 +109,8 @@ impl fmt::Display for LogLocator {
     }
 }
 
-/// Opens logs. Tables that hold many logs, as those of nuScenes do, are read once for consecutive logs of one
-/// data set.
+/// Opens logs. Tables that hold many logs, as in nuScenes, are read once for consecutive logs of one data
+/// set.
 #[derive(Debug, Default)]
 pub struct LogOpener {
     /// Tables that were read last.
@@ -131,7 +131,7 @@ impl LogOpener {
         (locator.format.open)(locator, self)
     }
 
-    /// Returns name and length of a log. Those of nuScenes are in two small tables; logs of other formats are
+    /// Returns name and length of a log. nuScenes lists them in two small tables; logs of other formats are
     /// opened.
     ///
     /// # Errors

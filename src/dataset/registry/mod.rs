@@ -1,8 +1,8 @@
-//! The formats of logs of this program: one row per reader, also of readers in other crates.
+//! The log formats of this program: one row per reader, also of readers in other crates.
 //!
-//! # How it works
-//! The rows of this crate are in [`BUILT_IN`]; a crate with another format, like that of the synthetic town,
-//! adds its row with [`register`] when the program starts. Names of logs are parsed here, since a path alone
+//! # How it works The rows of this crate are in [`BUILT_IN`]; a crate with another format, such as the
+//! synthetic town, adds its row with [`register`] when the program starts. Names of logs are parsed here,
+//! since a path alone
 //! is recognized by the formats.
 
 pub(super) mod format;
@@ -35,7 +35,7 @@ pub fn register(format: &'static LogFormat) {
     }
 }
 
-/// Returns all formats: those of this crate, then the registered ones.
+/// Returns all formats: this crate's rows, then the registered ones.
 pub fn formats() -> Vec<&'static LogFormat> {
     let registered = REGISTERED.read().unwrap_or_else(PoisonError::into_inner);
     BUILT_IN.iter().chain(registered.iter()).copied().collect()

@@ -15,7 +15,7 @@ const SWEEPS: usize = 5;
 #[derive(Debug)]
 pub(in crate::dataset) struct RingDecision {
     meaning: RingMeaning,
-    /// What most sweeps say; `None` if their numbers cannot be those of LiDARs.
+    /// What most sweeps say; `None` if their numbers cannot be LiDAR numbers.
     found: OnceLock<Option<Evidence>>,
 }
 
@@ -25,7 +25,7 @@ impl RingDecision {
         Self { meaning, found: OnceLock::new() }
     }
 
-    /// Reads a sweep of the log, and decides with the first one whose numbers may be those of LiDARs.
+    /// Reads a sweep of the log, and decides with the first one that may contain LiDAR numbers.
     ///
     /// # Errors
     /// Returns any error of `read` for the sweep itself. Fails if it has no point with finite coordinates.

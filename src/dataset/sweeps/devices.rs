@@ -30,7 +30,7 @@ pub(super) enum Evidence {
 pub(super) const MOST_DEVICES: u16 = 8;
 /// Points that a number needs to count.
 const MIN_POINTS: u32 = 200;
-/// Cells of directions: a degree of azimuth, two degrees of elevation, in which sparse beams still meet.
+/// Cells of directions: a degree of azimuth and two of elevation: cells where sparse beams still meet.
 const AZIMUTHS: usize = 360;
 const ELEVATIONS: usize = 90;
 /// Cells of a sector, 15 degrees, for comparisons of azimuths.
@@ -43,8 +43,8 @@ const DEVICE_DEGREES: f64 = 5.0;
 /// Share of points at other azimuths: interleaved beams have less, and two LiDARs certainly differ above.
 const SAME_AZIMUTHS: f64 = 0.15;
 const OTHER_AZIMUTHS: f64 = 0.5;
-/// Share of the cells of one LiDAR in the sectors of the other that the other has too. Flags in space have up
-/// to half of them.
+/// Share of one LiDAR's cells, in the sectors of the other, that the other has too. Flags in space have up to
+/// half of them.
 const COMMON_CELLS: f64 = 0.75;
 const MIN_CELLS: u32 = 100;
 /// Sectors with fewer cells than this share of the fullest one are not part of a LiDAR's view.
@@ -55,7 +55,7 @@ const LACKING: f64 = 0.2;
 /// Cells of a row that are compared with the others of the row.
 const MIN_ROW_CELLS: u32 = 20;
 
-/// Directions of the points of one number.
+/// Directions of the points with one number.
 struct Pattern {
     points: u32,
     /// Rows of elevation, cells of azimuth.
@@ -63,7 +63,7 @@ struct Pattern {
     elevations: [u32; FINE_ELEVATIONS],
 }
 
-/// Judges the numbers of points; `number` returns that of a point by its index.
+/// Judges the numbers of points; `number` returns the number of a point by its index.
 pub(super) fn evidence(points: &[SweepPoint], number: impl Fn(usize) -> u16) -> Evidence {
     let mut patterns: BTreeMap<u16, Pattern> = BTreeMap::new();
     for (i, point) in points.iter().enumerate() {
@@ -99,7 +99,7 @@ pub(super) fn evidence(points: &[SweepPoint], number: impl Fn(usize) -> u16) -> 
     if are_narrow || are_interleaved { Evidence::Beams } else { Evidence::Unknown }
 }
 
-/// Returns the evidence of most of several sweeps; `None` for no sweeps.
+/// Returns the evidence that most sweeps give; `None` for no sweeps.
 pub(super) fn majority(sweeps: &[Evidence]) -> Option<Evidence> {
     let is_most = |evidence: &Evidence| 2 * sweeps.iter().filter(|e| *e == evidence).count() > sweeps.len();
     let most = [Evidence::Devices, Evidence::Beams].into_iter().find(is_most);
@@ -145,7 +145,7 @@ impl Pattern {
         [0.05, 0.95].map(|share| reaches(share) * 180.0 / FINE_ELEVATIONS as f64)
     }
 
-    /// Returns the rows of cells of these elevations.
+    /// Returns the cell rows of these elevations.
     fn rows(&self) -> std::ops::Range<usize> {
         let [low, high] = self.elevation_range().map(|degrees| degrees * ELEVATIONS as f64 / 180.0);
         low as usize..high as usize + 1
@@ -162,7 +162,7 @@ impl Pattern {
         sectors.map(|sector| (share(self, sector) - share(other, sector)).abs()).sum::<f64>() / 2.0
     }
 
-    /// Returns whether this number has most of the cells of the other one in its own sectors.
+    /// Returns whether this number has most cells of the other one in its own sectors.
     fn sees(&self, other: &Self, rows: std::ops::Range<usize>) -> bool {
         let filled = |sector: usize| {
             let cells =

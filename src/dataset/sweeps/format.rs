@@ -50,7 +50,7 @@ mod tests {
             (b"\x1f\x8b\x08\x00", "gzip-compressed data"),
             (b"\x89MCAP0\r\n", "an MCAP file"),
             (b"1.0 2.0 3.0 4.0 5.0\n1.5 2.0 3.0 4.0 5.0\n", "text that begins with"),
-            // Such bytes are also those of a small number.
+            // A small number can have the same bytes.
             (b"404: File not found\n", "text that begins with \"404: File not found\""),
             (b"\xef\xbb\xbf404: Not Found", "text that begins with \"404: Not Found\""),
         ] {

@@ -79,7 +79,7 @@ pub(in crate::dataset) fn columns(read: &ReadAt<'_>, length: u64, path: &Path) -
     }
 }
 
-/// Names the content of a file in which nothing but one value occurs; `None` for others.
+/// Names the content of a file that repeats one value; `None` for others.
 fn single_value(values: &[u32], length: u64) -> Option<String> {
     let value = *values.first().filter(|_| is_uniform(values))?;
     let zeros = || sniff::marked(&[0; sniff::HEAD_BYTES]).map(str::to_owned);
@@ -159,7 +159,7 @@ fn other_type(sample: &Sample) -> Option<String> {
         .then(|| format!("values that no LiDAR measures ({percent:.0} % of all), of another type?"))
 }
 
-/// Returns the share of numbers of a plausible size. Zeros and values that are not finite say nothing.
+/// Returns the share of numbers that have a plausible size. Zeros and values that are not finite say nothing.
 fn plausible(values: impl Iterator<Item = f64>, sizes: std::ops::Range<f64>) -> f64 {
     let (mut yes, mut all) = (0, 0);
     for value in values.filter(|v| v.is_finite() && *v != 0.0) {

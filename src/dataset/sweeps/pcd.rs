@@ -23,7 +23,7 @@ const LENGTHS: usize = 8;
 /// points.
 pub(in crate::dataset) const HEAD_BYTES: u64 = MAX_HEADER_BYTES + LENGTHS as u64;
 
-/// Returns the number of points of a PCD file from its header, after checking its length.
+/// Returns the point count of a PCD file from its header, after checking its length.
 ///
 /// # Errors
 /// Fails as [`read_pcd_file`], except for errors in the points themselves.
@@ -34,7 +34,7 @@ pub fn check_pcd_file(path: &Path) -> Result<u64, FileError> {
     check_pcd(&head, length, path)
 }
 
-/// Returns the number of points of a PCD file of `length` bytes from its first [`HEAD_BYTES`].
+/// Returns the point count of a PCD file with `length` bytes from its first [`HEAD_BYTES`].
 ///
 /// # Errors
 /// Fails as [`check_pcd_file`].
@@ -95,14 +95,14 @@ fn parse_header(bytes: &[u8], path: &Path) -> Result<Header, FileError> {
 enum Points<'a> {
     /// Rows of a stride in bytes.
     Rows(&'a [u8], usize),
-    /// Columns of a number of points.
+    /// Columns for this many points.
     Columns(Vec<u8>, usize),
-    /// Rows of a number of numbers.
+    /// Rows of this many numbers.
     Numbers(Vec<f64>, usize),
 }
 
 impl Points<'_> {
-    /// Returns the value of a field of a point.
+    /// Returns the value of a point's field.
     fn number(&self, field: Field, row: usize) -> f64 {
         match self {
             Self::Rows(bytes, stride) => field.number(bytes, row * stride + field.offset),
@@ -375,7 +375,7 @@ mod tests {
         refused(&bytes, "points compressed by LZF", "damaged data");
     }
 
-    /// Fields of the LiDARs of trucks: times of 8 bytes, and padding.
+    /// Fields of truck LiDARs: times of 8 bytes, and padding.
     #[test]
     fn times_and_padding_are_skipped() {
         let header = "# .PCD v0.7\nVERSION 0.7\nFIELDS x y z _ intensity timestamp\nSIZE 4 4 4 1 4 8\nTYPE F F F U F U\n\

@@ -253,7 +253,7 @@ fn found_instead(head: &[u8], at: usize) -> String {
     if head.is_empty() {
         return "an empty file".to_owned();
     }
-    // Text without a mark may be a damaged header, of which the first wrong line says more.
+    // Text without a mark may be a damaged header; its first wrong line then says more.
     if let Some(name) = sniff::marked(head).filter(|_| !is_pcd(head)) {
         return name.to_owned();
     }

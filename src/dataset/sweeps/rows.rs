@@ -73,8 +73,8 @@ impl SweepRows {
         self.has_devices() || may_be_devices(&self.sweep.points)
     }
 
-    /// Returns what the directions of the points say about their numbers; `None` if no number can be that of
-    /// a LiDAR.
+    /// Returns what the directions of the points say about their numbers; `None` if no number can belong to a
+    /// LiDAR.
     pub(super) fn evidence(&self) -> Option<Evidence> {
         let points = &self.sweep.points;
         self.may_be_merged().then(|| match self.has_devices() {

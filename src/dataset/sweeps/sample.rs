@@ -1,4 +1,4 @@
-//! Rows of a file without a header from which its layout is judged.
+//! Rows that represent a file without a header when its layout is judged.
 
 use crate::error::FileError;
 
@@ -54,8 +54,8 @@ impl Sample {
         self.parts.iter().flat_map(|part| part.words.as_chunks::<2>().0.iter().copied())
     }
 
-    /// Returns the rows of a number of columns, except those of one value, like rows of zeros in place of
-    /// returns: they look the same with any number of columns.
+    /// Returns this many rows, except rows that repeat one value, like zeros in place of returns: they look
+    /// the same with any number of columns.
     pub(super) fn rows(&self, columns: usize) -> impl Iterator<Item = &[u32]> {
         let skipped = move |part: &Part| part.first.next_multiple_of(columns) - part.first;
         let parts = self.parts.iter().map(move |part| part.words.get(skipped(part)..).unwrap_or_default());

@@ -12,7 +12,7 @@ use crate::error::FileError;
 use crate::files::input::{is_there, read_text};
 use crate::files::text::printable_path;
 
-/// Name of the list of files in an output folder.
+/// Name of an output folder's file list.
 pub const FILES: &str = ".pskel-files";
 const HEADER: &str = "pskel files 1: ";
 /// Mark of the fingerprints in the header.
@@ -100,7 +100,7 @@ impl Manifest {
             return Ok(());
         }
         let path = folder.join(FILES);
-        // A list with another name is part of a copy of the folder by hard links.
+        // A list with another name belongs to a copy of the folder by hard links.
         if self.paths.is_empty() || path.metadata().is_ok_and(|list| list.nlink() > 1) {
             let all = Self { paths: self.paths.union(&new).cloned().collect(), ..self.clone() };
             all.write(folder)?;

@@ -231,11 +231,11 @@ pub fn check_place(path: &Path, inputs: &Inputs) -> Result<(), FileError> {
     check_above(path)
 }
 
-/// Checks that an output is not below a folder of one of the kinds [`CLOSED`].
+/// Checks that an output is not below a folder whose kind is [`CLOSED`].
 pub(super) fn check_above(path: &Path) -> Result<(), FileError> {
     let place = resolved(path);
     let above = place.ancestors().skip(1);
-    // What is in a work folder, also in that of a mount point, is temporary.
+    // Content of a work folder is temporary, also at a mount point.
     for folder in above.take_while(|folder| !folder.ends_with(OWN_NAME)) {
         // Folders above are the user's: a list that cannot be read is none of ours.
         let Ok(Some(manifest)) = Manifest::read(folder) else { continue };

@@ -24,8 +24,7 @@ pub struct FileKind {
     pub name: &'static str,
     /// Bytes with which every file of the kind begins.
     pub begin: &'static [u8],
-    /// Sequences of bytes of which at least one follows within the first 4096 bytes; empty if the beginning
-    /// is enough.
+    /// Byte sequences; at least one follows within the first 4096 bytes. Empty if the beginning is enough.
     pub marks: &'static [&'static [u8]],
 }
 

@@ -9,7 +9,7 @@ static PENDING: Mutex<BTreeSet<PathBuf>> = Mutex::new(BTreeSet::new());
 /// Shared by threads that move finished files to their names.
 static MOVING: RwLock<()> = RwLock::new(());
 
-/// Attempts to remove a folder in which other threads may still create files.
+/// Attempts to remove a folder while other threads may still create files in it.
 const TRIES: usize = 20;
 const PAUSE: Duration = Duration::from_millis(5);
 

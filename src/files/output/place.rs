@@ -16,7 +16,7 @@ use super::pending::remove;
 use crate::error::FileError;
 
 /// Moves a folder to a path. If a folder is there, both are swapped in one step, so the path is never empty.
-/// If it cannot be renamed, its files `old` (relative paths) are replaced by those of the new folder.
+/// If it cannot be renamed, its files `old` (relative paths) are replaced by the files of the new folder.
 ///
 /// # Errors
 /// Fails on an I/O error.
@@ -43,7 +43,7 @@ pub(in super::super) fn put(new: &Path, path: &Path, old: &BTreeSet<PathBuf>) ->
     renamed
 }
 
-/// Replaces the files `old` of a folder by those of a new one.
+/// Replaces the files `old` in a folder by the files of a new one.
 ///
 /// # Errors
 /// Fails on an I/O error. The folder then lacks JSON files.

@@ -39,12 +39,12 @@ pub struct SharedFolder {
 impl SharedFolder {
     /// File with the options of all units.
     pub const OPTIONS: &str = "export.json";
-    /// Folder of the records of complete units.
+    /// Folder for the records of complete units.
     pub const RECORDS: &str = "shards";
     /// Folder of the work folders.
     pub(in super::super) const WORK: &str = ".unfinished";
 
-    /// Returns whether a folder is one in which units were published.
+    /// Returns whether units were published in a folder.
     pub(in super::super) fn is_at(folder: &Path) -> bool {
         [Self::OPTIONS, Self::RECORDS].iter().all(|name| folder.join(name).exists())
     }

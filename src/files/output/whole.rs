@@ -13,7 +13,7 @@ use crate::files::lock::LockedFile;
 
 /// Suffix of temporary names.
 const PARTIAL: &str = ".pskel-part";
-/// Number of bytes of the final name in the temporary name: file systems allow 255 bytes in total.
+/// Maximum length of the final name within the temporary name, bytes: file systems allow 255 bytes in total.
 const MAX_NAME: usize = 200;
 const BUFFER: usize = 1 << 20;
 

@@ -14,7 +14,7 @@ pub(in super::super) const OWN_NAME: &str = ".pskel";
 const TRIES: usize = 100;
 
 /// Locked folder. Unless it is retained, it is removed with its content on drop or by a signal. Its lock file
-/// has a signature, by which folders of killed processes are told from foreign ones.
+/// has a signature that distinguishes folders of killed processes from foreign ones.
 #[derive(Debug)]
 pub struct WorkFolder {
     path: PathBuf,

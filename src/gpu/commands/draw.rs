@@ -81,8 +81,8 @@ impl<'a> Pass<'_, 'a> {
         self.indices = Some(indices);
     }
 
-    /// Draws a range of vertices of the bound buffer, or the given number of instances. A pipeline without
-    /// vertex inputs needs no buffer.
+    /// Draws a vertex range of the bound buffer, or the given number of instances. A pipeline without vertex
+    /// inputs needs no buffer.
     ///
     /// # Errors
     /// Fails if the buffer is too small, or if no pipeline or buffer is bound.

@@ -160,7 +160,7 @@ impl<'a> Recorder<'a> {
         let ((src_stage, src), (dst_stage, dst)) = (before.masks(), after.masks());
         let barriers = [vk::MemoryBarrier::default().src_access_mask(src).dst_access_mask(dst)];
         let flags = vk::DependencyFlags::empty();
-        // SAFETY: recording outside a pass; the stages are those of a graphics and compute queue.
+        // SAFETY: recording outside a pass; the stages exist on a graphics and compute queue.
         unsafe {
             self.device().cmd_pipeline_barrier(self.raw(), src_stage, dst_stage, flags, &barriers, &[], &[]);
         }

@@ -15,7 +15,7 @@ pub(in super::super) struct Timer {
 }
 
 impl Timer {
-    /// Maximum number of timestamps of one command buffer.
+    /// Maximum timestamp count of one command buffer.
     pub(in super::super) const MAX: u32 = 16;
 
     /// Creates a pool; `None` if the queue has no timestamps.

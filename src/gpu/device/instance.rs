@@ -84,7 +84,7 @@ impl Instance {
         Calls::new(&self.raw, self.layered)
     }
 
-    /// Returns the functions of one of its devices for one call.
+    /// Returns a device's functions for one call.
     pub(in super::super) fn calls_of<'a, T>(&self, functions: &'a T) -> Calls<'a, T> {
         Calls::new(functions, self.layered)
     }

@@ -183,7 +183,7 @@ impl Device {
         }
     }
 
-    /// Returns the maximum extent of images of this format, tiling and usage; `None` if unsupported.
+    /// Returns the maximum extent for images with this format, tiling and usage; `None` if unsupported.
     fn image_extent(
         &self,
         format: vk::Format,

@@ -18,7 +18,7 @@ const PANEL: u32 = 32;
 /// Capacity limits of one batch.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct PartLimits {
-    /// Bytes of one layer of keys.
+    /// Size of one key layer, bytes.
     pub(super) key_bytes: u64,
     /// Rows of keys.
     pub(super) key_rows: u32,

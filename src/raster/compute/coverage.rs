@@ -1,11 +1,11 @@
-//! Choice of the method by which points cover more than their own pixels.
+//! Choice of how points cover more than their own pixels.
 
 use super::passes::passes;
 use super::plan::PlannedItem;
 use super::resolve::MAX_GATHERED_RADIUS;
 use crate::raster::SplatSchedule;
 
-/// Method by which points cover more than their own pixels.
+/// How points cover more than their own pixels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Coverage {
     /// Radii are small: the resolve shaders gather the neighborhood.

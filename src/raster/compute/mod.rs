@@ -63,11 +63,11 @@ use crate::gpu::{Commands, Device, GpuError, PendingSubmit};
 pub struct ComputeRasterizerDesc {
     /// Memory budget for points on the device, bytes (20 per point); beyond it positions are streamed.
     pub memory_bytes: Option<u64>,
-    /// Maximum number of chunks of 4096 points per image.
+    /// Maximum number of 4096-point chunks per image.
     pub page_rows: Option<u32>,
     /// Maximum number of key rows per batch.
     pub key_rows: Option<u32>,
-    /// Maximum number of chunks of 4096 points streamed at once; the budget must hold twice as many.
+    /// Maximum number of 4096-point chunks streamed at once; the budget must hold twice as many.
     pub streamed_rows: Option<u32>,
     /// Use device-only memory and copies, as on a GPU, even if host and device share memory.
     pub copies: bool,

@@ -1,4 +1,4 @@
-//! Passes in which windows of keys grow (`spread`).
+//! Passes that grow windows of keys (`spread`).
 
 use crate::raster::{SplatSchedule, SplatStep};
 

@@ -10,7 +10,7 @@ use crate::gpu::{ComputePipeline, Device, GpuError, PipelineLayout, assert_layou
 use crate::raster::SplatSchedule;
 use crate::raster::steps::{Step, steps};
 
-/// Descriptor set of a page of points.
+/// Descriptor set of a point page.
 pub(super) const PAGE_SET: u32 = 1;
 /// Points per workgroup that draws squares: CPU drivers terminate invocations that loop more than 65 535
 /// times, and each square may have up to 63 by 63 pixels.
@@ -37,7 +37,7 @@ assert_layout!(ProjectFrame, shaders::project_wgsl_pixel::project_frame, [
 ]);
 
 impl ProjectFrame {
-    /// Creates the uniforms. `key_rows`: rows of a tile of keys; `pad`: padding around each strip, pixels.
+    /// Creates the uniforms. `key_rows`: rows of a key tile; `pad`: padding around each strip, pixels.
     pub(super) fn new(schedule: &SplatSchedule, key_rows: u32, pad: u32) -> Self {
         let step_count = schedule.steps().len() as u32;
         Self { steps: steps(schedule), step_count, z_far_m: schedule.z_far_m(), key_rows, pad }

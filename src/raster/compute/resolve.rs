@@ -40,7 +40,7 @@ assert_layout!(ResolvePush, shaders::resolve_reduced_wgsl_both::resolve_push, [
 
 impl ResolvePush {
     /// Creates the constants. `rows`: result rows per invocation; `maps`: maps to write; `key_rows`: rows of
-    /// a tile of keys.
+    /// a key tile.
     pub(super) fn new(schedule: &SplatSchedule, rows: u32, maps: MapSet, key_rows: u32) -> Self {
         // Squares of larger radii are already drawn or spread: only the own pixel is read.
         let gathered = schedule.max_radius() <= MAX_GATHERED_RADIUS;
@@ -49,7 +49,7 @@ impl ResolvePush {
     }
 }
 
-/// The pipelines of one of the two shaders; pairs are without and with points.
+/// Pipelines of one shader; pairs are without and with points.
 pub(super) struct ResolveStage {
     both: [ComputePipeline; 2],
     color: ComputePipeline,

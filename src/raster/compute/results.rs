@@ -62,7 +62,7 @@ pub(super) fn read_parts(
     Ok(())
 }
 
-/// Returns the maps of a frame of one batch: in place, unless their rows have padding or a view has several
+/// Returns the maps of a one-batch frame: in place, unless their rows have padding or a view has several
 /// strips. At strong reductions the source rows between strips are not drawn, so several strips of a view fit
 /// into one batch although the whole view did not.
 pub(super) fn read_maps<'s>(

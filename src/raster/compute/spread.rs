@@ -6,8 +6,8 @@
 //! the minimum of the surrounding keys whose squares reach it. Keys are ordered by depth, and the keys with
 //! at least a given radius are those up to some depth. The minimum key within each radius of the schedule is
 //! therefore sufficient: a window. Windows grow from pass to pass, each from nine of the previous pass. The
-//! cost depends only on the number of pixels; that of squares drawn per point grows with the number of points
-//! and the area of a square.
+//! cost depends only on the pixel count; squares drawn per point cost more with every point and with their
+//! area.
 
 use std::sync::Arc;
 
@@ -47,7 +47,7 @@ pub(super) struct Spread<'p> {
     pub(super) bands: &'p [ProjectBand],
     /// Padding around each strip, pixels.
     pub(super) pad: u32,
-    /// Rows of a tile of keys.
+    /// Rows of a key tile.
     pub(super) key_rows: u32,
 }
 

@@ -32,7 +32,7 @@ pub(super) struct Page {
 /// Images of points.
 pub(super) struct Store {
     pub(super) pages: Vec<Page>,
-    /// Number of rows of every page but the last.
+    /// Row count of every page but the last.
     pub(super) page_rows: u32,
     /// Colors and classes in the order of the clouds, one block of [`CHUNK`] per row.
     pub(super) colors: Arc<Image>,

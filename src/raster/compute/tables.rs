@@ -103,11 +103,11 @@ pub(super) struct ResolveBand {
     pub(super) key_row: u32,
     /// Offset of the strip in the results, pixels.
     pub(super) pixel: u32,
-    /// Index of the tap of column 0.
+    /// Index of column 0's tap.
     pub(super) columns: u32,
-    /// Index of the tap of the strip's first row.
+    /// Index of the tap for the strip's first row.
     pub(super) rows: u32,
-    /// Number of pairs of key columns to the left of those that are read.
+    /// Number of key column pairs to the left of the pairs that are read.
     pub(super) pair: u32,
     pub(super) pad_1: u32,
 }

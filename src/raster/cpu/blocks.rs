@@ -18,7 +18,7 @@ const GROUPS_AHEAD: usize = 2;
 /// Footprints of more cells per point are not tested cell by cell: that costs more than drawing their points.
 const CELLS_PER_POINT: usize = 2;
 
-/// Bit mask of the groups of a block.
+/// Bit mask over a block's groups.
 pub(super) type GroupMask = u64;
 const _: () = assert!(GROUPS <= GroupMask::BITS as usize);
 
@@ -108,7 +108,7 @@ impl WithSimd for DrawGroups<'_> {
 }
 
 impl StripDraw<'_> {
-    /// Returns the footprints of blocks of the draw's cloud, [`LANES`](super::packed::LANES) at a time.
+    /// Returns the footprints of blocks in the draw's cloud, [`LANES`](super::packed::LANES) at a time.
     pub(super) fn footprints(&self, lanes: usize) -> FootprintLanes {
         let bounds = &self.numbered.cloud.blocks[lanes];
         pulp::Arch::new().dispatch(Project { footprints: &self.footprints, bounds })

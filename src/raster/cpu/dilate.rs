@@ -26,7 +26,7 @@ struct Reach {
     depth_m: f32,
 }
 
-/// Rows of windows of one row of the buffer.
+/// Window rows over one buffer row.
 #[derive(Clone, Default)]
 struct Fold {
     /// Per radius, largest first: nearest points of windows along the row of this or a larger radius.
@@ -208,7 +208,7 @@ fn widen(window: &Row, step: usize, gap: bool, wider: &mut Row) {
     lower(wider, window, 2 * step, f32::INFINITY);
 }
 
-/// Replaces points of `nearest` by those of `other`, `shift` places further, which are nearer and within
+/// Replaces points in `nearest` by points of `other`, `shift` places further, that are nearer and within
 /// `reach_m`.
 #[inline(always)]
 #[allow(clippy::needless_range_loop)] // loops over lanes: this form vectorizes

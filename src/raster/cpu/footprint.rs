@@ -46,7 +46,7 @@ pub(super) struct FootprintLanes {
 pub(super) struct Footprint {
     /// Lower bound of depths, meters.
     pub(super) nearest_m: f32,
-    /// First column and row of the rectangle, counted from those of the window.
+    /// First column and row of the rectangle, relative to the window's.
     pub(super) first: [u32; 2],
     /// Last column and row.
     pub(super) last: [u32; 2],
@@ -61,7 +61,7 @@ impl Footprints {
         Self { image: draw.image_from_local, z_far_m, error, origin: window.origin(), last }
     }
 
-    /// Computes the footprints of sets of points with some bounds.
+    /// Computes the footprints of point sets with some bounds.
     #[inline(always)]
     #[allow(clippy::needless_range_loop)] // loops over lanes: this form vectorizes
     pub(super) fn of(&self, bounds: &BoundsLanes) -> FootprintLanes {
@@ -76,7 +76,7 @@ impl Footprints {
             let depth_m = at(&w);
             let nearest_m = depth_m - spread(w[0], w[1], w[2]) - self.error[2];
             let farthest_m = depth_m + spread(w[0], w[1], w[2]) + self.error[2];
-            // A pixel coordinate minus that of the center is linear in the point, divided by its depth.
+            // A pixel coordinate relative to the center is linear in the point, divided by its depth.
             let across = at(&u) / depth_m;
             let reach = spread(u[0] - across * w[0], u[1] - across * w[1], u[2] - across * w[2]);
             let reach =
@@ -110,7 +110,7 @@ impl Footprints {
 }
 
 impl FootprintLanes {
-    /// Returns the sets of points of which some may fall into the window: a bit mask.
+    /// Returns the point sets that may reach into the window: a bit mask.
     #[inline(always)]
     pub(super) fn drawn(&self) -> u64 {
         (0..LANES).fold(0, |mask, i| mask | u64::from(self.cells[i] > 0.0) << i)
@@ -122,7 +122,7 @@ impl FootprintLanes {
         (0..LANES).fold(0, |mask, i| mask | u64::from(self.cells[i] <= most as f32) << i)
     }
 
-    /// Returns the footprint of a set of points that is drawn.
+    /// Returns the footprint of a drawn point set.
     #[inline(always)]
     pub(super) fn lane(&self, i: usize) -> Footprint {
         Footprint {

@@ -53,9 +53,9 @@ impl Layer {
     }
 }
 
-/// Returns an upper bound of the depth of all pixels of the tile that begins with a cell, meters, if points
-/// have a radius of at least 1: the nearest point of 2x2 cells covers all four. Infinite for a tile across
-/// the window's border.
+/// Returns an upper depth bound over all pixels of the tile that begins with a cell, meters, if points have a
+/// radius of at least 1: the nearest point of 2x2 cells covers all four. Infinite for a tile across the
+/// window's border.
 #[inline(always)]
 fn covered_m(keys: &[u64], window: &Window, [column, row]: [usize; 2]) -> f32 {
     if column + TILE > window.stride() || row + TILE > window.height() {
@@ -86,7 +86,7 @@ mod tests {
 
     const REACH_M: f32 = 30.0;
 
-    /// Returns a layer in which some share of the cells have a point of about `depth_m`.
+    /// Returns a layer where some share of the cells has a point at about `depth_m`.
     fn layer(window: &Window, seed: u64, share: f64, depth_m: f32) -> Layer {
         let mut layer = Layer::default();
         layer.clear(window, REACH_M);

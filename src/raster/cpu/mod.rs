@@ -54,7 +54,7 @@ impl Default for CpuRasterizerDesc {
     }
 }
 
-/// Maps of a frame: those of its views one after the other. A map that is not wanted has length 0.
+/// Maps of a frame: its views one after the other. A map that is not wanted has length 0.
 #[derive(Default)]
 struct Maps {
     sizes: Vec<ImageSize>,

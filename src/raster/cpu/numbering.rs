@@ -1,4 +1,4 @@
-//! Joint numbering of the points of a frame's instances.
+//! Joint numbering for the points of a frame's instances.
 
 use super::memory::prefetch;
 use super::packed::PackedCloud;
@@ -25,7 +25,7 @@ pub(super) struct Numbering<'c> {
     colors: &'c [u32],
 }
 
-/// What the maps show of a block of numbers.
+/// What the maps show for a block of numbers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Block {
     /// Wrapping offset from numbers to indices of colors.
@@ -36,7 +36,7 @@ struct Block {
 }
 
 impl<'c> Numbering<'c> {
-    /// Numbers the instances; `colors` are those of all clouds.
+    /// Numbers the instances; `colors` belong to all clouds.
     ///
     /// # Errors
     /// Fails for an unknown cloud or for too many points.

@@ -11,17 +11,17 @@ use crate::raster::chunk::{CULL_BLOCK, ChunkedCloud};
 pub(super) const GROUP: usize = 64;
 /// Groups in a block of points that are culled together.
 pub(super) const GROUPS: usize = CULL_BLOCK / GROUP;
-/// Bounds that are projected in one loop: of the groups of a block, or of as many blocks.
+/// Bounds that are projected in one loop: of a block's groups, or as many blocks.
 pub(super) const LANES: usize = GROUPS;
 
-/// Positions of the points of a block, group by group and coordinate by coordinate, in the order of
+/// Positions of a block's points, group by group and coordinate by coordinate, in the order of
 /// [`ChunkedCloud`]. Meters; padded with NaN, which is never drawn.
 #[repr(transparent)]
 #[derive(Clone, Copy, Pod, Zeroable)]
 pub(super) struct Positions(pub(super) [[[f32; GROUP]; 3]; GROUPS]);
 
-/// Bounds of the finite positions of sets of points, meters: minimum x, y, z, maximum x, y, z. NaN if there
-/// are none.
+/// Bounds over the finite positions of point sets, meters: minimum x, y, z, maximum x, y, z. NaN if there are
+/// none.
 #[repr(transparent)]
 #[derive(Clone, Copy, Pod, Zeroable)]
 pub(super) struct BoundsLanes(pub(super) [[f32; LANES]; 6]);
@@ -30,13 +30,13 @@ pub(super) struct BoundsLanes(pub(super) [[f32; LANES]; 6]);
 pub(super) struct PackedCloud<'a> {
     pub(super) chunked: ChunkedCloud<'a>,
     pub(super) positions: HugeSlice<Positions>,
-    /// Of the groups of each block.
+    /// For the groups of each block.
     pub(super) bounds: HugeSlice<BoundsLanes>,
     /// Of the blocks, [`LANES`] at a time.
     pub(super) blocks: Vec<BoundsLanes>,
     /// Index of each point in the cloud, group by group; empty if the order is the cloud's own.
     pub(super) index: HugeSlice<[u32; GROUP]>,
-    /// Index of its first color among those of all clouds.
+    /// Index of its first color among the colors of all clouds.
     pub(super) first_color: usize,
     /// Maximum absolute coordinates of the finite positions, meters.
     pub(super) reach_m: [f32; 3],
@@ -101,7 +101,7 @@ impl Positions {
 impl BoundsLanes {
     const NONE: Self = Self([[f32::NAN; LANES]; 6]);
 
-    /// Returns the bounds of blocks; `blocks`: those of their groups.
+    /// Returns the bounds of blocks; `blocks`: the bounds of their groups.
     fn of(blocks: &[Self]) -> Self {
         let mut bounds = Self::NONE;
         for (block, groups) in blocks.iter().enumerate() {

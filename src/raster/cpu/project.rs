@@ -1,7 +1,7 @@
 //! Projection of points into visibility buffers.
 //!
-//! Operations and their order are those of `project` in `reference.rs`, many points at a time: plain loops
-//! over arrays, which the compiler vectorizes under `pulp`'s dispatch.
+//! Operations and their order equal `project` in `reference.rs`, many points at a time: plain loops over
+//! arrays, which the compiler vectorizes under `pulp`'s dispatch.
 
 use super::packed::GROUP;
 use super::window::{Layer, Window, key};
@@ -22,7 +22,7 @@ pub(super) struct Projection {
     first_cell: f32,
 }
 
-/// Cells, depths and keys of the points of a group; cell 0 for points that are not drawn.
+/// Cells, depths and keys for the points of a group; cell 0 for points that are not drawn.
 pub(super) struct Cells {
     cell: [u32; GROUP],
     depth_m: [f32; GROUP],
@@ -38,7 +38,7 @@ fn dot(row: &[f32; 4], x: f32, y: f32, z: f32) -> f32 {
 }
 
 impl Projection {
-    /// Maximum number of cells of a window.
+    /// Maximum cell count of a window.
     pub(super) const MAX_CELLS: usize = 1 << 23;
 
     pub(super) fn new(draw: &Draw, window: &Window, z_far_m: f32) -> Self {

@@ -38,7 +38,7 @@ impl<'m> MapRows<'m> {
         }
     }
 
-    /// Returns the row `row`, counted from the first, of maps of this width.
+    /// Returns row `row`, counted from the first, in maps of this width.
     fn row(&mut self, row: usize, width: usize) -> MapRows<'_> {
         fn part<T>(map: &mut [T], row: usize, width: usize) -> &mut [T] {
             if map.is_empty() { map } else { &mut map[row * width..][..width] }
@@ -63,7 +63,7 @@ fn maps_of(job: &FrameJob<'_>, layers: &Layers, layer: usize) -> MapSet {
 pub(super) struct Resolve<'r> {
     pub(super) job: &'r FrameJob<'r>,
     pub(super) layers: &'r Layers,
-    /// Rows of the window, padding included, in which the layers of color and geometry may differ.
+    /// Window rows, padding included, where the layers of color and geometry may differ.
     pub(super) forked: Range<u32>,
     pub(super) strip: &'r Strip,
     pub(super) sampling: &'r Sampling,
@@ -94,7 +94,7 @@ impl Resolve<'_> {
         }
     }
 
-    /// Returns whether the color of a row of the maps may differ between the layers of color and geometry.
+    /// Returns whether the color in a row of the maps may differ between the layers of color and geometry.
     fn is_forked(&self, row: usize) -> bool {
         let nearest = self.sampling.nearest[0][row] as usize;
         let [first, last] = self.sampling.taps.as_ref().map_or([nearest; 2], |[rows, _]| rows[row].at);

@@ -36,7 +36,7 @@ impl Sampling {
         Self { from, to, nearest, taps }
     }
 
-    /// Returns first and end of the rows of the view that these rows of its maps read.
+    /// Returns first and end of the view rows that these map rows read.
     fn source(&self, rows: [u32; 2]) -> [u32; 2] {
         let rows = rows[0] as usize..rows[1] as usize;
         let nearest = self.nearest[0][rows.clone()].iter().map(|row| *row as usize);

@@ -130,8 +130,8 @@ impl Task<'_> {
     }
 
     /// Divides blocks into those that color and geometry share, which are only to be drawn into the layer of
-    /// the geometry, and the others, in the same order. Returns the rows of the window, padding included, in
-    /// which the layers may then differ, and the number of shared blocks.
+    /// the geometry, and the others, in the same order. Returns the window rows, padding included, where the
+    /// layers may then differ, and the number of shared blocks.
     fn fork(&self, items: &mut [Item]) -> (Range<u32>, usize) {
         let shared = self.layers.shared();
         if shared == *self.layers {

@@ -2,7 +2,7 @@
 
 use std::ops::Range;
 
-/// Rows of a view with padding on all sides, in which the squares of points outside reach in.
+/// Rows of a view, padded on all sides so that squares of points outside reach in.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Window {
     /// Width of the view, pixels.
@@ -64,8 +64,8 @@ pub(super) struct Layer {
 /// Key of an empty cell: infinitely far.
 const EMPTY: u64 = key(f32::INFINITY, u32::MAX);
 
-/// Returns the key of a point: the least one is that of the nearest point, of several the one with the least
-/// number. The depth must be positive: then its bits are ordered like its values.
+/// Returns the key of a point: the minimum is the nearest point; ties go to the lowest number. The depth must
+/// be positive: then its bits are ordered like its values.
 #[inline(always)]
 pub(super) const fn key(depth_m: f32, number: u32) -> u64 {
     (depth_m.to_bits() as u64) << 32 | number as u64
@@ -98,9 +98,8 @@ impl Layer {
         self.keys[0] = 0;
     }
 
-    /// Copies what another layer has in some rows of a window, and in those around them from which squares
-    /// reach the same pixels, or the pixels next to them, which color is interpolated with. Elsewhere, the
-    /// layer is undefined.
+    /// Copies another layer's rows of a window, with the rows around them whose squares reach the same
+    /// pixels, or the neighbors that color is interpolated with. Elsewhere, the layer is undefined.
     pub(super) fn copy_rows(&mut self, from: &Self, window: &Window, rows: &Range<u32>) {
         self.keys.resize(from.keys.len(), EMPTY);
         self.keys[0] = 0;

@@ -73,7 +73,7 @@ impl LineRows {
         }
     }
 
-    /// Draws all rows of an image of this size on black.
+    /// Draws all rows of a black image with this size.
     pub(crate) fn image(mut self, size: ImageSize) -> Vec<[u8; 3]> {
         let mut image = vec![[0; 3]; size.pixels()];
         for (row, pixels) in (0..size.height).zip(image.chunks_exact_mut(size.width.max(1) as usize)) {

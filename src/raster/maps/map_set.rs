@@ -45,7 +45,7 @@ pub enum PixelType {
     Channels,
 }
 
-/// Description of a kind of map.
+/// Description of a map kind.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct MapDescription {
     /// Name of files, arrays and command-line values.

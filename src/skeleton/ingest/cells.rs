@@ -8,7 +8,7 @@ use super::sums::{VoxelSum, Voxels, merge};
 use super::sweep::SweepCloud;
 use crate::skeleton::{BuildOptions, BuildReport, CHUNK_M};
 
-/// Unit in which points are collected.
+/// Unit that collects points.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub(super) enum Cell {
@@ -43,7 +43,7 @@ impl Cells {
         Self { background, actors, cells: Vec::new(), index: FxHashMap::default(), last: 0, points: 0 }
     }
 
-    /// Returns the voxels in which the points of a cell are merged.
+    /// Returns the voxels that merge the points of a cell.
     pub(super) fn voxels(&self, cell: Cell) -> Voxels {
         match cell {
             Cell::Chunk(_) => self.background,

@@ -53,8 +53,8 @@ impl Builder<'_> {
         })
     }
 
-    /// Returns the report with the notes of the logs, and the boxes of each log of which none received a
-    /// point.
+    /// Returns the report with the notes of the logs, and with the boxes of each log that received no point
+    /// at all.
     fn report(&self) -> BuildReport {
         let mut report = self.done.report.clone();
         for (log, stream) in self.streams.iter().enumerate() {

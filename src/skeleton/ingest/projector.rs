@@ -63,7 +63,7 @@ impl Projector {
     }
 
     /// Returns pixel coordinates and camera depth in meters; `None` behind the camera and outside the image.
-    /// Lens distortion is applied, so the pixel is that of the recorded image.
+    /// Lens distortion is applied, so the pixel belongs to the recorded image.
     pub fn pixel(&self, local: DVec3) -> Option<(DVec2, f64)> {
         let q = self.from_local.transform_point3(local);
         if q.z < NEAREST_M {
@@ -132,7 +132,7 @@ impl Projector {
         pulp::Arch::new().dispatch(|| self.pinhole_pixels([x, y, z], pixels));
     }
 
-    /// Computes pixels without a lens, in the order of operations of [`DAffine3::transform_point3`].
+    /// Computes pixels without a lens, with the operation order of [`DAffine3::transform_point3`].
     #[inline(always)]
     #[allow(clippy::needless_range_loop)] // loops over lanes: this form vectorizes
     fn pinhole_pixels(&self, [x, y, z]: [&[f64]; 3], pixels: &mut Pixels) {
@@ -166,8 +166,8 @@ mod tests {
         Camera::new("c", 1600, 900, rows).unwrap()
     }
 
-    /// Pixels of many points are those of each, bit for bit, with and without a lens, also of points that are
-    /// not finite.
+    /// Pixels of many points equal the pixels of each, bit for bit, with and without a lens, also for points
+    /// that are not finite.
     #[test]
     fn pixels_of_many_points_are_those_of_each() {
         let distortion = Distortion::from_opencv([-0.28, 0.071, 0.0011, -0.0007, -0.0079]);

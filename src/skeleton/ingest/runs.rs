@@ -32,7 +32,7 @@ const SUM_BYTES: u64 = size_of::<VoxelSum>() as u64;
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub(super) struct RunName {
     number: usize,
-    /// Number of merges of its points.
+    /// How often its points were merged.
     level: usize,
 }
 

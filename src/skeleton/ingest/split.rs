@@ -38,7 +38,7 @@ pub struct SplitOptions {
     pub primary_lidar: Option<u16>,
     /// Maximum distance from the LiDAR along its x and its y of returns from the ego vehicle itself, meters.
     pub ego_clearance_m: f64,
-    /// Time before and after that of the boxes within which LiDARs may have measured a moving actor, seconds.
+    /// Time before and after the boxes' within which LiDARs may have measured a moving actor, seconds.
     pub ghost_window_s: [f64; 2],
 }
 
@@ -114,8 +114,8 @@ impl Splitter {
         Self { boxes, places: RTree::bulk_load(places), unplaced, ground_m: options.ground_m }
     }
 
-    /// Classifies a global point. Of several boxes, the one in which it lies deepest wins. `timely` is `true`
-    /// if the point comes from the LiDAR whose timing matches the boxes of moving actors.
+    /// Classifies a global point. Among several boxes, the one that it lies deepest in wins. `timely` is
+    /// `true` if the point comes from the LiDAR whose timing matches the boxes of moving actors.
     pub fn part(&self, global: DVec3, timely: bool) -> Part {
         if !global.is_finite() {
             return self.part_among(0..self.boxes.len(), global, timely);
@@ -293,7 +293,7 @@ mod tests {
         }
     }
 
-    /// Returns the splitter at t = 0 of a car of 4 x 2 x 1.5 m at the origin, driving along x at `speed`.
+    /// Returns the splitter at t = 0 for a car of 4 x 2 x 1.5 m at the origin that drives along x at `speed`.
     fn splitter(speed: f64) -> Splitter {
         let track = Track { id: "a".into(), category: "vehicle.car".into(), class: Class::MotorVehicle };
         let frame = |t_us: i64| {

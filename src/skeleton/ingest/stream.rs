@@ -41,7 +41,7 @@ pub(super) struct Stream<'a> {
 pub(super) struct FrameCloud {
     /// One cloud per sweep.
     pub(super) sweeps: Vec<SweepCloud>,
-    /// Number of images of the frame.
+    /// Image count of the frame.
     pub(super) images: usize,
     /// Number of sweeps and images that were skipped because their files are damaged.
     pub(super) damaged: [usize; 2],
@@ -237,7 +237,7 @@ impl<'a> Stream<'a> {
         }
     }
 
-    /// Returns the pose of a part of a sweep at a time.
+    /// Returns the pose of a sweep's part at a time.
     fn place(&self, track: Option<usize>, t_us: i64) -> Option<DAffine3> {
         track.map_or(Some(DAffine3::IDENTITY), |track| {
             self.trajectories.at(track, t_us).map(|cuboid| cuboid.pose.affine())

@@ -43,7 +43,7 @@ pub(super) struct Voxels {
 
 impl Voxels {
     /// Returns the sum of a single point at a position relative to its cell's origin, meters. `place` is the
-    /// point's global number, by which points are sorted if none are merged.
+    /// point's global number, which sorts points if none are merged.
     pub(super) fn sum(self, position: DVec3, rgb: [u8; 3], place: u64) -> VoxelSum {
         let (key, corner) = if self.side_m > 0.0 {
             let index = (position / self.side_m).floor();

@@ -7,7 +7,7 @@ use crate::dataset::{Sweep, SweepRecord};
 use crate::geometry::is_position;
 use crate::skeleton::{Part, SplitOptions, Splitter};
 
-/// Color of the points of a log without images.
+/// Point color for logs without images.
 const GREY: [u8; 3] = [128; 3];
 
 /// Note for merged sweeps whose LiDARs are all others.

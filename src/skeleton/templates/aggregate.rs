@@ -113,9 +113,8 @@ fn agreed(actors: &[Vec<Point>], spacing_m: f64, options: &TemplateOptions) -> V
     actors.iter().enumerate().flat_map(kept).collect()
 }
 
-/// Returns the points with enough near neighbors, densest first, so that of diverging surfaces the one shared
-/// by most actors is taken. If all points are sparse, the distance limit is twice the median neighbor
-/// distance.
+/// Returns the points with enough near neighbors, densest first: among diverging surfaces, the one shared by
+/// most actors wins. If all points are sparse, the distance limit is twice the median neighbor distance.
 fn without_outliers(points: &[Point], mirror: bool, spacing_m: f64, options: &TemplateOptions) -> Vec<Point> {
     let distances = neighbour_distances_m(points, mirror, options.neighbours);
     let mut sorted = distances.clone();

@@ -8,12 +8,10 @@ use crate::error::FileError;
 use crate::geometry::{MAX_SIDE_M, MIN_SIDE_M, is_size};
 use crate::skeleton::{Checksum, Template};
 
-/// Reads a template of a kind from an NPY or PLY file and centers its bounds on the origin, like those of a
-/// box. Also returns sentences on unusual content, those of [`PointFile::notes`](cloud::PointFile::notes)
-/// included.
+/// Reads a template of a kind from an NPY or PLY file and centers its bounds on the origin, as boxes are.
+/// Also returns sentences on unusual content, including [`PointFile::notes`](cloud::PointFile::notes).
 ///
-/// # Errors
-/// Fails if the file cannot be read, or if the bounds of its points are not those of a box.
+/// # Errors Fails if the file cannot be read, or if the bounds of its points do not form a box.
 pub fn read_template(kind: TemplateKind, path: &Path) -> Result<(TemplateCloud, Vec<String>), FileError> {
     let cloud::PointFile { points: read, mut notes, non_finite, .. } = cloud::read(path)?;
     if non_finite > 0 {

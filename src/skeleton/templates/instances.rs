@@ -12,7 +12,7 @@ use crate::cloud::Point;
 use crate::error::FileError;
 use crate::skeleton::{Asset, Skeleton, Source};
 
-/// Assets of any number of skeletons, from which templates are generated.
+/// Assets of any number of skeletons, the input of template generation.
 #[derive(Clone, Debug, Default)]
 pub struct Instances {
     instances: Vec<Instance>,

@@ -56,7 +56,7 @@ impl LibraryManifest {
 /// Templates that several skeletons can share.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct TemplateLibrary {
-    /// Manifest; its `templates` equal those of `clouds`.
+    /// Manifest; its `templates` equal the manifests of `clouds`.
     pub manifest: LibraryManifest,
     /// Templates with their points, in the order of kinds.
     pub clouds: Vec<TemplateCloud>,
@@ -109,8 +109,8 @@ impl TemplateLibrary {
         })
     }
 
-    /// Returns a checksum of the templates of a library, which have those of their points, as 16 hexadecimal
-    /// digits.
+    /// Returns a checksum of a library's templates, which contain the checksums of their points, as 16
+    /// hexadecimal digits.
     ///
     /// # Errors
     /// Fails if the manifest is missing or damaged, or has another format or version.

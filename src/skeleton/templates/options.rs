@@ -14,7 +14,7 @@ pub struct TemplateOptions {
     pub size_spread: f64,
     /// ... or a category has this many clusters.
     pub max_clusters: usize,
-    /// Number of points of a template that covers its box; determines its spacing.
+    /// Point count of a template that covers its box; determines its spacing.
     pub target_points: usize,
     /// Maximum number of points; the spacing is widened to satisfy it.
     pub max_points: usize,
@@ -24,7 +24,7 @@ pub struct TemplateOptions {
     pub neighbours: usize,
     /// ... within this many spacings.
     pub neighbour_spacings: f64,
-    /// Minimum number of well-observed actors of a kind from which a point requires points of another actor
+    /// Minimum number of well-observed actors of a kind for a point to require points of another actor
     /// nearby. Features of a single actor (a ladder, a branch beside it) are not part of the kind. `None`
     /// retains them.
     pub agree_from_actors: Option<usize>,
@@ -73,13 +73,13 @@ pub struct TemplateSummary {
     pub clusters: Vec<ClusterReport>,
     /// Number of assets in the used clusters.
     pub instances: usize,
-    /// Number of points of these assets before thinning.
+    /// Point count of these assets before thinning.
     pub points_in: usize,
     /// Number of points removed for lack of neighbors.
     pub outliers: usize,
     /// Number of points removed because no other actor has points nearby.
     pub not_agreed: usize,
-    /// Number of points of the template; 0 if it was dropped for having too few.
+    /// Point count of the template; 0 if it was dropped for having too few.
     pub points: usize,
     /// Distance between the points, meters.
     pub spacing_m: f64,
@@ -89,7 +89,7 @@ pub struct TemplateSummary {
     pub bounds: Option<Bounds>,
 }
 
-/// Cluster of actors of similar size.
+/// Cluster of actors with similar sizes.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ClusterReport {
     /// Whether the template uses the cluster. Cars, people and cycles use all clusters. Trucks, buses and the
@@ -99,6 +99,6 @@ pub struct ClusterReport {
     pub size: [f64; 3],
     /// Members as `LOG/TRACK`, in input order.
     pub members: Vec<String>,
-    /// Number of points of the members before thinning.
+    /// Point count of the members before thinning.
     pub points_in: usize,
 }

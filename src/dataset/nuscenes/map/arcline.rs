@@ -46,7 +46,7 @@ fn one<'de, D: Deserializer<'de>>(from: D) -> Result<f64, D::Error> {
     Coordinate::deserialize(from).map(|number| number.0)
 }
 
-/// Reads three numbers; those of a damaged record are NaN.
+/// Reads three numbers; they are NaN in a damaged record.
 fn three<'de, D: Deserializer<'de>>(from: D) -> Result<[f64; 3], D::Error> {
     let numbers: Vec<f64> = or_default(from).map(|all: Vec<Coordinate>| all.iter().map(|n| n.0).collect())?;
     Ok(numbers.try_into().unwrap_or_else(|_| unknown()))

@@ -103,8 +103,7 @@ pub(in super::super) struct Connectivity {
 impl Expansion {
     /// Returns the records that can be read, and counts the others.
     ///
-    /// # Errors
-    /// Returns a description of a layer of which no record can be read.
+    /// # Errors Returns a description of a layer without readable records.
     pub(in super::super) fn layers(self, notes: &mut Counts) -> Result<Layers, String> {
         // The connectors came with a later version.
         let lane_connector = self.lane_connector.unwrap_or_default();
@@ -126,7 +125,7 @@ impl Expansion {
 }
 
 impl Layers {
-    /// Returns the number of corners of all polygons and lines.
+    /// Returns the total corner count of all polygons and lines.
     pub(in super::super) fn corners(&self) -> usize {
         let hole = |hole: &Hole| hole.node_tokens.len();
         let polygon = |p: &Polygon| p.exterior_node_tokens.len() + p.holes.iter().map(hole).sum::<usize>();

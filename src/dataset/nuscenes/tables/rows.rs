@@ -136,7 +136,7 @@ fn unexpected(buffer: &[u8], next: usize, base: u64, state: State) -> String {
     }
 }
 
-/// Adds to a description in which record it is, unless it names the record.
+/// Adds the record's name to a description, unless it is already named.
 fn in_record(found: &impl std::fmt::Display, offset: u64, row: &[u8]) -> String {
     /// Any record of a table.
     #[derive(Deserialize)]
@@ -158,7 +158,7 @@ fn no_table(of: &str, found: String, path: &Path) -> FileError {
     FileError::content(array_of(of), found, path)
 }
 
-/// Open table of which single rows are read.
+/// Open table with access to single rows.
 #[derive(Debug)]
 pub(in super::super) struct RowFile {
     file: File,

@@ -5,7 +5,7 @@
 //! projected into it at the image's own time (a point of an actor moves with its box) and tested against the
 //! image's [`OcclusionMap`]. Each view that passes yields a [`ColorSample`]: the mean color over the pixels
 //! that the point covers when splatted, and a weight that decreases with distance. The color is a robust
-//! mean: a mean in which views count the less, the more they differ from it. The other views thus outvote an
+//! mean: a mean that gives less weight to views that differ more from it. The other views thus outvote an
 //! error in one image: a wrong occlusion, a passing car, or the sky behind a twig.
 
 use glam::{DVec2, DVec3};
@@ -59,8 +59,7 @@ const TOLERANCE: f32 = 100.0;
 const ROUNDS: usize = 6;
 
 impl ColorView {
-    /// Returns the radii, in pixels of the image, of points in the depth ranges of [`SPLATS`] and beyond
-    /// them.
+    /// Returns the radii of points, in image pixels, within the depth ranges of [`SPLATS`] and beyond them.
     pub(crate) fn radii(&self) -> [usize; 3] {
         let scale = f64::from(self.image.width()) / SPLAT_WIDTH;
         [SPLATS[0].1, SPLATS[1].1, 0.0].map(|radius| ((radius + 0.5) * scale).round() as usize)
@@ -98,8 +97,8 @@ impl ColorView {
 }
 
 /// Returns the mean color over a square of `SIDE` pixels, from the index of its first level and the number of
-/// levels per row. Reads `LANES` levels of each row, of which it uses the first `3 SIDE`; `None` where there
-/// are fewer.
+/// levels per row. Reads `LANES` levels of each row and uses the first `3 SIDE`; `None` where there are
+/// fewer.
 #[inline(always)]
 fn square_mean<const SIDE: usize, const LANES: usize>(
     levels: &[u8],
@@ -149,7 +148,7 @@ pub(crate) fn agreed_color(looks: &[ColorSample]) -> Option<[u8; 3]> {
     Some(color.map(|level| (level + 0.5) as u8))
 }
 
-/// Returns the mean color of looks; `trust` is a factor of the weight of a look, given its color.
+/// Returns the mean color of looks; `trust` is a weight factor for a look with a given color.
 #[inline(always)]
 fn mean_look(looks: &[ColorSample], trust: impl Fn([f32; 3]) -> f32) -> [f32; 3] {
     let (mut sum, mut total) = ([0.0_f32; 3], 0.0_f32);
@@ -240,7 +239,8 @@ mod tests {
         }
     }
 
-    /// Means over whole squares are those of clipped ones, in every pixel of an image up to its last byte.
+    /// Means over whole squares equal means over clipped ones, at every pixel of an image up to its last
+    /// byte.
     #[test]
     fn means_of_squares_are_those_of_clipped_squares() {
         let rows = [[100.0, 0.0, 20.0], [0.0, 100.0, 20.0], [0.0, 0.0, 1.0]];

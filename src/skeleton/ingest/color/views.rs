@@ -11,7 +11,7 @@ use crate::skeleton::{Coloring, Projector};
 /// Number of points per job.
 const JOB: usize = 1024;
 
-/// Colors the points of a sweep taken at `t_us`. `place` returns the pose of a part of it at a time.
+/// Colors the points of a sweep taken at `t_us`. `place` returns the pose of one of its parts at a time.
 pub(in super::super) fn sweep(
     cloud: &mut SweepCloud,
     t_us: i64,
@@ -33,7 +33,7 @@ pub(in super::super) fn sweep(
     }
 }
 
-/// Colors the points of a part in an order in which neighbors are close in space, and thus in every image.
+/// Colors the points of a part in spatial order, so that neighbors are close in every image.
 fn color_part(points: &mut [Candidate], views: &[(&ColorView, Projector)]) {
     let Some(first) = points.first().map(|point| point.position) else { return };
     let local = |point: &Candidate| Point::new((point.position - first).as_vec3().to_array(), [0; 3], 0);
@@ -54,7 +54,7 @@ fn color_part(points: &mut [Candidate], views: &[(&ColorView, Projector)]) {
     }
 }
 
-/// Whether views in which a point is occluded count.
+/// Whether views that do not see a point count.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Hidden {
     Refused,
@@ -78,8 +78,8 @@ struct Workspace {
 }
 
 impl Workspace {
-    /// Colors points from views, each with its projection. All points are looked at in one image before the
-    /// next, of which they need a small piece.
+    /// Colors points from views, each with its projection. All points are looked up in one image before the
+    /// next; together they need a small piece of it.
     fn color(&mut self, points: &mut [Candidate], views: &[(&ColorView, Projector)], hidden: Hidden) {
         let Self { columns, pixels, looks, counts } = self;
         let positions = points.iter().map(|point| point.position);
