@@ -36,7 +36,7 @@ pub(crate) fn raise(error: impl Into<point_skeleton::Error>) -> PyErr {
     }
 }
 
-/// Returns whether an error is that of a device in a forked process.
+/// Returns whether an error comes from a device in a forked process.
 fn is_forked(error: &point_skeleton::Error) -> bool {
     use point_skeleton::Error as Core;
     let (Core::Raster(error) | Core::Render(ConditionError::Raster(error))) = error else { return false };

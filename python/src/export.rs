@@ -100,8 +100,8 @@ impl ExportProgress for Callback {
     }
 }
 
-/// Returns the first paragraph of the message of a wrong argument, without the usage of the command, in one
-/// line.
+/// Returns the first paragraph of the message about a wrong argument, without the usage of the command, in
+/// one line.
 fn reason(message: &str) -> String {
     let message = message.strip_prefix("error: ").unwrap_or(message);
     message.lines().map(str::trim).take_while(|line| !line.is_empty()).collect::<Vec<_>>().join(" ")

@@ -229,8 +229,8 @@ impl Renderer {
         self.device.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Calls a function with the renderer, after calls of other threads, and returns the number of the series
-    /// of frames. `series`: the series it belongs to; `None` begins one.
+    /// Calls a function with the renderer, after calls of other threads, and returns the number of the frame
+    /// series. `series`: the series it belongs to; `None` begins one.
     fn with<T>(
         &self,
         series: Option<u64>,

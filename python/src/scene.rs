@@ -117,7 +117,7 @@ impl Scene {
         Self { inner: Arc::new(state), log: Some(log.name().into()) }
     }
 
-    /// Checks that the scene is of a log, or of none: its coordinates and actors are those of its log.
+    /// Checks that the scene is of a log, or of none: its coordinates and actors belong to its log.
     ///
     /// # Errors
     /// Raises `ValueError` for a scene of another log.

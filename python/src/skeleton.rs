@@ -36,9 +36,9 @@ impl Skeleton {
 
     /// Writes a skeleton of your own points: `background` `[N, 6]` (global x, y, z in meters; red, green,
     /// blue of 0 to 255) or `[N, 7]` (and class); `assets` by track: category, box size (length, width,
-    /// height in meters), and points in the frame of the box. `log` is its name in `logs`. The points of the
-    /// background are stored in cubes, in another order; those of an asset keep theirs. An existing skeleton
-    /// is replaced. Raises `ValueError` for invalid points, `BuildError` if the folder cannot be written.
+    /// height in meters), and points in the frame of the box. `log` is its name in `logs`. Background points
+    /// are stored in cubes, in another order; asset points keep theirs. An existing skeleton is replaced.
+    /// Raises `ValueError` for invalid points, `BuildError` if the folder cannot be written.
     #[staticmethod]
     #[pyo3(signature = (path, background, assets=None, *, log="points"))]
     fn from_points(
@@ -103,7 +103,7 @@ impl Skeleton {
         self.inner.manifest.actors.iter().map(|asset| asset.track.as_str()).collect()
     }
 
-    /// Number of points of the background.
+    /// Point count of the background.
     #[getter]
     fn background_points(&self) -> usize {
         self.inner.manifest.background_points()

@@ -16,7 +16,7 @@ impl Committed {
         self.inner.get().clone_ref(py)
     }
 
-    /// Returns the result of a function of the value, as committed.
+    /// Returns a function's result for the value, as committed.
     fn map(&self, function: &Bound<'_, PyAny>) -> PyResult<Self> {
         let value = function.call1((self.inner.get(),))?.unbind();
         let inner = self.inner.as_ref().map(|_| value);
@@ -38,7 +38,7 @@ impl Forecast {
         self.inner.get().clone_ref(py)
     }
 
-    /// Returns the result of a function of the value, as a forecast.
+    /// Returns a function's result for the value, as a forecast.
     fn map(&self, function: &Bound<'_, PyAny>) -> PyResult<Self> {
         Ok(Self { inner: pskel_sim::Forecast::new(function.call1((self.inner.get(),))?.unbind()) })
     }

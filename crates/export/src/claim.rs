@@ -63,10 +63,10 @@ fn content(options: &ExportOptions) -> Value {
     json!({ "version": env!("CARGO_PKG_VERSION"), "records": RECORDS, "options": options })
 }
 
-/// Version of the records of shards: raised when fingerprints of their input cover more.
+/// Version of shard records: raised when fingerprints of their input cover more.
 const RECORDS: u32 = 3;
 
-/// Compares options with those of an export, and names those that differ as on the command line.
+/// Compares options with an export's, and names the differing ones as on the command line.
 fn compare(ours: &Value, theirs: &Value, path: &Path) -> Result<(), FileError> {
     if ours == theirs {
         return Ok(());

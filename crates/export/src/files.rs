@@ -18,7 +18,7 @@ use crate::ExportError;
 use crate::samples::Sample;
 use crate::shard::Shard;
 
-/// JPEG quality of recorded images, so high that artifacts are those of the recording.
+/// JPEG quality of recorded images, so high that artifacts come from the recording.
 const QUALITY: u8 = 95;
 
 /// A file in memory.

@@ -5,7 +5,7 @@ use serde::Serialize;
 
 use point_skeleton::conditions::Captions;
 
-/// Layout of the files of an export.
+/// File layout of an export.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Layout {
@@ -108,7 +108,7 @@ pub struct ExportOptions {
     pub times: SampleTimes,
     /// Folder of the color maps in the layout [`Layout::PasCache`].
     pub color_folder: String,
-    /// Parts of the prompt of all logs.
+    /// Prompt parts for all logs.
     pub prompt: PromptParts,
     /// Captions of logs and images.
     pub captions: Captions,

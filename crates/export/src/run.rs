@@ -72,13 +72,12 @@ pub struct Export<'a> {
     pub progress: &'a dyn ExportProgress,
 }
 
-/// Writes the shards of a part of a work list. Shards that exist are skipped. Logs and shards that fail are
+/// Writes the shards in a part of a work list. Shards that exist are skipped. Logs and shards that fail are
 /// reported, and the others are written all the same. If all shards of the list exist then, writes
 /// `index.json`.
 ///
-/// # Errors
-/// Fails if the folder cannot be written, if it has an export with other options or foreign files, or if it
-/// is that of the skeletons, in a skeleton or a part of a log.
+/// # Errors Fails if the folder cannot be written, if it has an export with other options or foreign files,
+/// or if it is the folder of the skeletons, or is in a skeleton or a part of a log.
 pub fn export(run: Export<'_>) -> Result<ExportReport, ExportError> {
     if is_one_file(run.out, run.skeletons) {
         let expected = "a folder of skeletons apart from that of the export";

@@ -15,7 +15,7 @@ use crate::SampleTimes;
 pub(crate) struct Sample<'a> {
     /// State with the cameras of the images.
     pub(crate) state: SceneState,
-    /// Recorded image of each camera of the state.
+    /// Recorded image for each camera of the state.
     pub(crate) images: Vec<Option<&'a ImageRecord>>,
     /// Frame of the log; for images between frames the next one.
     pub(crate) frame: usize,
@@ -110,7 +110,7 @@ impl<'a> Sampler<'a> {
         })
     }
 
-    /// Returns the sample of a group of images. Actors are interpolated to the mean of their times.
+    /// Returns the sample for a group of images. Actors are interpolated to the mean of their times.
     fn between(&self, index: usize, place: usize, group: &[&'a ImageRecord]) -> Option<Sample<'a>> {
         let first = group.first()?.t_us;
         let t_us = first + group.iter().map(|image| image.t_us - first).sum::<i64>() / group.len() as i64;
@@ -125,7 +125,7 @@ impl<'a> Sampler<'a> {
     }
 }
 
-/// Divides images in order of time into groups in which each camera occurs at most once.
+/// Divides images, ordered by time, into groups with each camera at most once.
 fn groups(images: &[ImageRecord]) -> Vec<Vec<&ImageRecord>> {
     let mut groups: Vec<Vec<&ImageRecord>> = Vec::new();
     for image in images {

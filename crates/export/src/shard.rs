@@ -15,7 +15,7 @@ use sha2::{Digest, Sha256};
 
 use crate::{ExportOptions, WorkUnit, claim};
 
-/// Folder of the records of complete shards.
+/// Folder for the records of complete shards.
 const RECORDS: &str = SharedFolder::RECORDS;
 const BUFFER: usize = 1 << 20;
 
@@ -50,7 +50,7 @@ pub(crate) struct ShardRecord {
     pub(crate) files: Vec<ShardFile>,
 }
 
-/// Fingerprints of the input of a shard.
+/// Input fingerprints of a shard.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub(crate) struct ShardInput {
     /// Of the recording.

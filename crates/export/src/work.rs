@@ -12,7 +12,7 @@ use crate::ExportError;
 /// Frames of a log that become one shard.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct WorkUnit {
-    /// Name of the shard: that of the log and its first frame.
+    /// Name of the shard: the log's and its first frame.
     pub name: String,
     /// Key frames, and the images since the previous key frame.
     pub frames: Range<usize>,

@@ -15,7 +15,7 @@ pub(crate) fn told(error: impl std::fmt::Display, file: &Path, input: &[u8]) {
     short(&message, input);
 }
 
-/// Same as [`told`], for an error of one of several files in a folder.
+/// Same as [`told`], for an error in one of a folder's files.
 #[track_caller]
 pub(crate) fn told_within(error: impl std::fmt::Display, folder: &Path, input: &[u8]) {
     let (message, folder) = (error.to_string(), printable_path(folder));

@@ -21,7 +21,7 @@ impl Folder {
         Self { base, changed: BTreeSet::new(), ..folder }
     }
 
-    /// Creates a folder with a copy of all files of another.
+    /// Creates a folder with a copy of another one's files.
     pub(crate) fn copy_of(other: &Path) -> Self {
         let mut files = BTreeMap::new();
         gather(other, "", &mut files);

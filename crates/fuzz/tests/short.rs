@@ -8,7 +8,7 @@ use point_skeleton_fuzz::{TARGETS, Target, run};
 /// Number of mutations per target.
 const MUTATIONS: u64 = 300;
 
-/// In a single test, because the memory of a run is that of the process.
+/// In a single test, because the process measures the memory of its runs together.
 #[test]
 fn corpus_and_mutations_hold() {
     let failed: Vec<String> = TARGETS.iter().filter_map(|target| all_hold(target).err()).collect();

@@ -14,7 +14,7 @@ pub struct GenerateOptions {
     pub steps: usize,
     /// Number of leading frames of the window that are always clean, C.
     pub clean: usize,
-    /// Strategy by which the window moves.
+    /// Strategy that moves the window.
     pub strategy: Strategy,
     /// Noise schedule and denoising update.
     pub sampler: SamplerOptions,

@@ -21,7 +21,7 @@ const BOX_ALPHA: f64 = 0.5;
 /// Thickness of lines, meters.
 const LINE_M: f64 = 0.2;
 
-/// Returns an absolute time; `None` if it is outside of the range of messages.
+/// Returns an absolute time; `None` if messages cannot represent it.
 pub(super) fn timestamp(t_us: i64) -> Option<Timestamp> {
     let seconds = u32::try_from(t_us.div_euclid(1_000_000)).ok()?;
     let rest_us = u32::try_from(t_us.rem_euclid(1_000_000)).ok()?;
@@ -33,7 +33,8 @@ pub(super) fn camera_frame(name: &str) -> String {
     format!("camera/{name}")
 }
 
-/// Returns the calibration of maps of a size: a pinhole camera. Pixel `(i, j)` covers `[i, i+1) × [j, j+1)`.
+/// Returns the calibration of maps with a size: a pinhole camera. Pixel `(i, j)` covers `[i, i+1) × [j,
+/// j+1)`.
 pub(super) fn calibration(camera: &Camera, size: ImageSize, time: Timestamp) -> CameraCalibration {
     let [x, y, z] = camera.resized(size.height, size.width).rows();
     let extended = |[a, b, c]: [f64; 3]| [a, b, c, 0.0];
@@ -82,8 +83,8 @@ pub(super) fn transforms(state: &SceneState, origin: DVec3, time: Timestamp) -> 
     FrameTransforms { transforms: std::iter::once(ego).chain(cameras).collect() }
 }
 
-/// Returns the boxes of actors, which replace those of the previous instant. Each update is complete, so
-/// viewers may start at any instant.
+/// Returns the boxes of actors, which replace the previous instant's. Each update is complete, so viewers may
+/// start at any instant.
 pub(super) fn actors(actors: &[ActorState], origin: DVec3, time: Timestamp) -> SceneUpdate {
     let all = scene_entity_deletion::Type::All;
     let deletion = SceneEntityDeletion { timestamp: Some(time), r#type: all.into(), ..Default::default() };

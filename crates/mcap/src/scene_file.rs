@@ -14,7 +14,7 @@ use point_skeleton::scene::SceneState;
 use crate::file::LogFile;
 use crate::messages;
 
-/// MCAP file of the instants of a log or of a rollout. Messages are written in the order of the calls.
+/// MCAP file with the instants of a log or rollout. Messages are written in the order of the calls.
 pub struct SceneFile<W: Write> {
     file: LogFile<W>,
     /// Origin of the frame `map`, global coordinates.
@@ -55,8 +55,7 @@ impl<W: Write> SceneFile<W> {
 
     /// Returns the time of messages from absolute microseconds.
     ///
-    /// # Errors
-    /// Fails if it is outside of the range of messages.
+    /// # Errors Fails if messages cannot represent it.
     pub fn time(&self, t_us: i64) -> Result<Timestamp, FileError> {
         messages::timestamp(t_us).ok_or_else(|| {
             let found = format!("{t_us} microseconds after 1970");
@@ -79,7 +78,7 @@ impl<W: Write> SceneFile<W> {
     }
 
     /// Writes the poses of ego and cameras to `/tf`, the boxes of actors to `/actors`, and the calibrations
-    /// of maps of these sizes, one per camera.
+    /// of maps with these sizes, one per camera.
     ///
     /// # Errors
     /// See [`Self::begin`].
@@ -98,7 +97,7 @@ impl<W: Write> SceneFile<W> {
         Ok(())
     }
 
-    /// Writes the calibration of images of a size to a topic.
+    /// Writes the calibration of images with a size to a topic.
     ///
     /// # Errors
     /// See [`Self::begin`].

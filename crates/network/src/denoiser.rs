@@ -94,7 +94,7 @@ impl Network {
         self.config.shape(self.cameras)
     }
 
-    /// Returns the encoded conditions of frames; those of the last windows are not encoded again.
+    /// Returns the encoded conditions of frames; frames in the last windows are not encoded again.
     fn encoded(&self, frames: &[&FrameConditions]) -> Result<Vec<EncodedConditions>, NetworkError> {
         if let Some(other) = frames.iter().find(|frame| frame.views() != self.cameras) {
             let expected = format!("conditions of {} cameras", self.cameras);

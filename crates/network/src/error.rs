@@ -24,7 +24,7 @@ pub enum NetworkError {
         /// The value found.
         found: f64,
     },
-    /// Error of a file of weights or of a checkpoint.
+    /// Error of a weights file or a checkpoint.
     #[error(transparent)]
     File(#[from] FileError),
     /// A thread could not be started.

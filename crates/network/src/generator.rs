@@ -47,7 +47,7 @@ pub struct GeneratorSettings {
     pub steps: Option<usize>,
     /// Leading frames of the window that are always clean, C.
     pub clean: usize,
-    /// Strategy by which the window moves.
+    /// Strategy that moves the window.
     pub strategy: Strategy,
     /// Noise schedule and denoising update.
     pub sampler: SamplerOptions,

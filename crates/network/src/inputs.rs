@@ -11,18 +11,18 @@ use crate::weights::config::{CELL, LATENT_CHANNELS, TOKEN};
 /// Numbers of a pixel: filled color (3), filled depth, whether color and depth are known (2), layout (6),
 /// direction of the ray in the ego frame (3), and a zero.
 pub(super) const PLANES: usize = 16;
-/// Number of values of a token's ray: its direction in the ego frame, and sines and cosines of 1, 2, 4 and 8
-/// times it.
+/// Value count of a token's ray: its direction in the ego frame, and sines and cosines of 1, 2, 4 and 8 times
+/// it.
 pub(super) const RAY: usize = 3 + 2 * 3 * OCTAVES;
 const OCTAVES: usize = 4;
-/// Number of values of the ego motion: forward, left, turn, and whether it is known.
+/// Value count of the ego motion: forward, left, turn, and whether it is known.
 pub(super) const EGO: usize = 4;
-/// Typical ego motion per frame, by which it is divided: meters forward, meters to the left, radians.
+/// Typical ego motion per frame, its divisor: meters forward, meters to the left, radians.
 const EGO_SCALES: [f32; 3] = [2.0, 0.5, 0.1];
 /// Center of colors and depths.
 const CENTER: f32 = 0.5;
 
-/// Conditions of frames; images are those of all cameras of all frames.
+/// Conditions of frames; images cover all cameras and frames.
 #[derive(Clone, Debug)]
 pub(crate) struct Inputs {
     /// Number of cameras, V.
@@ -37,7 +37,7 @@ pub(crate) struct Inputs {
     pub(super) ego: Tensor,
 }
 
-/// Numbers of the image of a camera.
+/// Numbers of a camera's image.
 struct CameraInputs {
     pixels: Vec<f32>,
     colors: Vec<f32>,

@@ -2,8 +2,8 @@
 //!
 //! # How it works
 //! `inputs` turns [`FrameConditions`](pskel_generate::FrameConditions) into images of numbers, with the holes
-//! of color and depth filled (`fill`). `model` encodes them once per frame, denoises the latents of a window
-//! of frames, and decodes a finished latent into images, seeing the conditions again. Latents are mean colors
+//! of color and depth filled (`fill`). `model` encodes them once per frame, denoises the latents of a frame
+//! window, and decodes a finished latent into images, seeing the conditions again. Latents are mean colors
 //! of 4x4 pixels (`latents`), with mean 0 and variance 1 over the training images ([`Statistics`]). `kernels`
 //! and `ops` implement operations that the tensor library lacks or runs too slowly. `levels` defines the
 //! denoiser's input and output at a noise level: the filled color is a first guess, and the denoiser predicts

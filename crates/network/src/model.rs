@@ -153,8 +153,8 @@ impl Model {
     }
 
     /// Returns the network's output for noisy latents `[B L V h w, 3]` with noise `sigmas [B L]`: the error
-    /// of the linear estimate, in the units of [`Levels`]. `encoded` has the conditions of the frames of
-    /// `windows` windows.
+    /// of the linear estimate, in the units of [`Levels`]. `encoded` has the frame conditions of `windows`
+    /// windows.
     pub(crate) fn answer(
         &self,
         noisy: &Tensor,
@@ -232,7 +232,7 @@ impl WindowConditions {
         &self.guess
     }
 
-    /// Joins the conditions of frames of the same number of cameras.
+    /// Joins the conditions of frames with the same number of cameras.
     pub(crate) fn joined(frames: &[&Self]) -> Result<Self> {
         let join = |of: fn(&Self) -> &Tensor| {
             Tensor::cat(&frames.iter().map(|frame| of(frame)).collect::<Vec<_>>(), 0)
@@ -248,7 +248,7 @@ impl WindowConditions {
 }
 
 impl EncodedConditions {
-    /// Returns the conditions of one frame of `frames`.
+    /// Returns the conditions of one frame in `frames`.
     pub(crate) fn frame(&self, frame: usize, frames: usize) -> Result<Self> {
         let part = |all: &Tensor| {
             let rows = all.dims2()?.0 / frames;

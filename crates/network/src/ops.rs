@@ -33,8 +33,8 @@ pub(super) fn mix(rows: &Tensor, shape: AttentionMlp) -> Result<Tensor> {
     rows.apply_op1(MixOp(shape))
 }
 
-/// Returns `norm(x) (1 + scale) + shift`; `x [R, d]`, `modulation [G, 2d]` of `(shift, scale)`, each row of
-/// which applies to `R / G` rows.
+/// Returns `norm(x) (1 + scale) + shift`; `x [R, d]`, `modulation [G, 2d]` of `(shift, scale)`; each row
+/// applies to `R / G` rows.
 pub(super) fn norm_modulate(x: &Tensor, modulation: &Tensor) -> Result<Tensor> {
     x.apply_op2(modulation, NormOp)
 }

@@ -40,7 +40,7 @@ struct Args {
     /// Skip the occlusion test when coloring points.
     #[arg(long)]
     no_occlusion: bool,
-    /// Compare with actors at the time of the frame instead of that of each image.
+    /// Compare with actors at the frame's time instead of each image's.
     #[arg(long)]
     frame_time: bool,
     /// Keep the ghosts of moving actors and the ego's own returns.
@@ -49,7 +49,7 @@ struct Args {
     /// Keep the returns of all LiDARs on moving actors.
     #[arg(long)]
     every_lidar: bool,
-    /// Side of the voxels in which points are merged, meters.
+    /// Side of the voxels that merge points, meters.
     #[arg(long)]
     voxel: Option<f64>,
 }

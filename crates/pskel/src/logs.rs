@@ -1,4 +1,4 @@
-//! Logs of all formats of this program: recorded ones, those of evaluation protocols, and the synthetic town.
+//! Logs of every format of this program: recorded logs, logs of evaluation protocols, and the synthetic town.
 
 use point_skeleton::Log;
 use point_skeleton::dataset::{DatasetError, LogLocator, LogOpener, register};
@@ -37,8 +37,8 @@ pub fn open_by(locator: &LogLocator, opener: &LogOpener) -> Result<Log, DatasetE
     opener.open(locator).map(Log::new)
 }
 
-/// Opens a log and returns it with the name of its recording: that of the log, for towns with their options,
-/// since skeletons of two recordings of a town differ.
+/// Opens a log and returns it with the name of its recording: the log's, for towns with their options, since
+/// skeletons of two recordings of a town differ.
 ///
 /// # Errors
 /// Fails as [`open`].

@@ -21,7 +21,7 @@ pub(super) struct Clock {
 }
 
 impl SimOptions {
-    /// Returns the rates of a simulation of a log whose format has the given default rates.
+    /// Returns the rates to simulate a log whose format has the given default rates.
     ///
     /// # Errors
     /// Returns an error if a rate is out of range, if the planning rate does not divide the simulation rate,
@@ -83,7 +83,7 @@ impl Clock {
         self.start_us.saturating_add((step as f64 * 1e6 / self.rates.sim_hz).round() as i64)
     }
 
-    /// Returns the time of a number of steps before the start, absolute microseconds.
+    /// Returns the time this many steps before the start, absolute microseconds.
     pub(super) fn before_start(&self, steps: i64) -> i64 {
         self.start_us.saturating_sub((steps as f64 * 1e6 / self.rates.sim_hz).round() as i64)
     }

@@ -8,7 +8,7 @@ use super::clock::Clock;
 use super::recorded::Recorded;
 use super::world::World;
 
-/// Time that a planner sees of the past, microseconds: that of nuPlan's planners, 2 s.
+/// Time that a planner sees of the past, microseconds: as for nuPlan's planners, 2 s.
 pub(super) const HISTORY_US: i64 = 2_000_000;
 /// Maximum number of states, so that a message of many actors stays below the protocol's limit.
 const MAX_STATES: usize = 100;

@@ -1,5 +1,5 @@
-//! Closed-loop simulation: ego and actors move step by step, and each step is a state from which conditions
-//! are rendered.
+//! Closed-loop simulation: ego and actors move step by step, and each step is a state to render conditions
+//! from.
 //!
 //! # How it works
 //! Past states are [`Committed`], predicted ones are [`Forecast`]. They are different types, and no forecast

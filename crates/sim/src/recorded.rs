@@ -9,10 +9,10 @@ use super::{EgoState, Instant, Scenario, SimActor, SimError, WHEELBASE_M};
 use crate::path::fit::motion;
 use crate::path::route::Route;
 
-/// Half width of the window of poses from which the ego's motion is estimated, seconds.
+/// Half width of the pose window for estimating the ego's motion, seconds.
 const EGO_WINDOW_S: f64 = 0.5;
-/// Half width of the window of boxes from which an actor's motion is estimated, seconds. It holds at least
-/// two frames of a 2 Hz log.
+/// Half width of the box window for estimating an actor's motion, seconds. It holds at least two frames of a
+/// 2 Hz log.
 const ACTOR_WINDOW_S: f64 = 0.6;
 /// Minimum time between frames that counts as a gap, seconds.
 const GAP_S: f64 = 1.0;

@@ -46,7 +46,7 @@ pub struct Instant {
 /// Pose and motion of the ego.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct EgoState {
-    /// `global_from_ego`; the origin is that of the log's ego frame, taken as the center of the rear axle.
+    /// `global_from_ego`; the origin is the log's ego frame, taken as the center of the rear axle.
     pub pose: Pose,
     /// Speed along the heading, meters per second.
     pub speed_mps: f64,

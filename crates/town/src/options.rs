@@ -54,11 +54,11 @@ impl Default for TownOptions {
 }
 
 impl TownOptions {
-    /// Maximum number of frames of a recording.
+    /// Maximum frame count of a recording.
     pub const MAX_FRAMES: usize = 10_000;
     /// Maximum duration of a recording, seconds: poses take memory ten times a second.
     pub const MAX_DURATION_S: f64 = 600.0;
-    /// Maximum number of pixels of an image.
+    /// Maximum pixel count of an image.
     pub const MAX_PIXELS: usize = 1 << 25;
     const KEYS: [&str; 7] = ["seed", "frames", "hz", "beams", "lidar_hz", "size", "light"];
 

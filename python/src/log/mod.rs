@@ -105,7 +105,8 @@ impl Log {
         self.inner.recording().frames.len()
     }
 
-    /// Returns the scene at a key frame, or a list of those of a slice; negative indices count from the end.
+    /// Returns the scene at a key frame, or a list of scenes for a slice; negative indices count from the
+    /// end.
     fn __getitem__<'py>(&self, py: Python<'py>, index: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyAny>> {
         let count = self.__len__();
         if let Ok(slice) = index.cast::<PySlice>() {

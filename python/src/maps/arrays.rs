@@ -109,7 +109,7 @@ impl<'py> FromPyObject<'_, 'py> for Size {
     }
 }
 
-/// Returns the array of an argument with a shape, in which 0 stands for any length.
+/// Returns the array of an argument with a shape; 0 stands for any length.
 ///
 /// # Errors
 /// Raises `ValueError` for another shape.

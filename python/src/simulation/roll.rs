@@ -165,8 +165,8 @@ impl ResetAndRoll {
         Ok(PyBytes::new(py, &bytes.map_err(|error| Error::new_err(with_causes(&error).to_string()))?))
     }
 
-    /// Restores a state of a loop with the same options; `conditions`: those of the last `references` frames,
-    /// oldest first. Raises `ValueError` for a damaged state or one of other options.
+    /// Restores a state of a loop with the same options; `conditions`: the references of the last
+    /// `references` frames, oldest first. Raises `ValueError` for a damaged state or one of other options.
     fn load(&self, py: Python<'_>, saved: &[u8], conditions: Vec<PyRef<'_, Committed>>) -> PyResult<()> {
         let mut state = self.lock()?;
         let cache = Cache::from_bytes(saved)

@@ -46,7 +46,7 @@ pub struct Origin {
 
 /// Compared networks.
 pub struct Networks {
-    /// Network of all rows except those of the other networks.
+    /// Network of all rows that name no other network.
     pub main: Network,
     /// Trained without augmentation.
     pub plain: Option<Network>,

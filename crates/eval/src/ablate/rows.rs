@@ -18,9 +18,10 @@ pub(super) struct Row {
     pub(super) dropped: DroppedConditions,
     /// Network to use.
     pub(super) network: Choice,
-    /// Inference steps, as a multiple of those of the other rows.
+    /// Inference steps, as a multiple of the other rows'.
     pub(super) times_steps: usize,
-    /// `true` if its forecasts repeat the current conditions (standstill) instead of those of the simulation.
+    /// `true` if its forecasts repeat the current conditions (standstill) instead of following the
+    /// simulation.
     pub(super) expects_standstill: bool,
 }
 

@@ -20,8 +20,8 @@ use crate::{
     MOVING_MPS, PatchClassifier, PatchClassifierError, PatchOptions, PatchTrainer, moving_mask, vehicle_mask,
 };
 
-/// Inputs shared by all variants in a log. In a synthetic log, the ego changes lanes; in a recorded one, of
-/// which images exist only where cameras have been, it follows the log.
+/// Inputs shared by all variants in a log. In a synthetic log, the ego changes lanes; in a recorded one it
+/// follows the log, since images exist only where cameras have been.
 pub(super) struct Scene {
     /// Name of the recording.
     pub(super) name: String,

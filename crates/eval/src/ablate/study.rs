@@ -24,8 +24,8 @@ pub struct Ablation {
 }
 
 impl Ablation {
-    /// Opens the folder of a study of some tables, or of all tables if none are given. Results in it are
-    /// reused. `read` is everything that the command reads.
+    /// Opens a study's folder for some tables, or for all tables if none are given. Results in it are reused.
+    /// `read` is everything that the command reads.
     ///
     /// # Errors
     /// Fails if the networks are not comparable, if the options are inconsistent, or if the folder is in use,
@@ -46,7 +46,7 @@ impl Ablation {
         Ok(Self { files, networks, options, tables, rows, results: Vec::new() })
     }
 
-    /// Returns the number of variants, which is the number of results of each scene.
+    /// Returns the number of variants: each scene has as many results.
     pub fn variants(&self) -> usize {
         self.rows.len()
     }

@@ -44,8 +44,8 @@ pub fn street_cloud(points: usize, seed: u64) -> Vec<Point> {
     order.par_iter().map(point).collect()
 }
 
-/// Returns six cameras of 900x1600 pixels that cover all directions from 1.5 m above the middle of the street
-/// of [`street_cloud`].
+/// Returns six cameras with 900x1600 pixels that cover all directions from 1.5 m above the middle of
+/// [`street_cloud`].
 pub fn street_views() -> Vec<View> {
     CAMERAS.iter().filter_map(|&(name, yaw_deg, focal_px)| view(name, yaw_deg, focal_px)).collect()
 }

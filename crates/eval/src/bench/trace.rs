@@ -21,7 +21,7 @@ struct Trace {
     unit: &'static str,
 }
 
-/// Files of traces of this program.
+/// Trace files of this program.
 pub const TRACE: FileKind = FileKind {
     name: "a trace of pskel bench",
     begin: b"{\n  \"traceEvents\": [",
@@ -29,7 +29,7 @@ pub const TRACE: FileKind = FileKind {
 };
 
 /// Writes frames, from begin to end, and their stages, placed one after the other from the frame's begin.
-/// Frames in flight together get separate tracks. `names` are those of the workload's frames.
+/// Frames in flight together get separate tracks. `names` belong to the workload's frames.
 pub(super) fn write(
     file: &OutputFile,
     frames: &[TimedFrame],

@@ -65,7 +65,7 @@ impl Workload {
         Self { content, frames: vec![frame], non_finite, skipped: 0 }
     }
 
-    /// Creates a workload of the frames of a log that have cameras. `skeleton` was built from the log,
+    /// Creates a workload from the frames of a log that have cameras. `skeleton` was built from the log,
     /// `substitutes` supplement its clouds. The HD map is read if the maps need it.
     ///
     /// # Errors
@@ -94,7 +94,7 @@ impl Workload {
         self.frames.len()
     }
 
-    /// Returns the number of frames of the log that are omitted because they have no cameras.
+    /// Returns how many frames of the log are omitted because they have no cameras.
     pub fn skipped(&self) -> usize {
         self.skipped
     }

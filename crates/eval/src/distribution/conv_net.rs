@@ -47,8 +47,8 @@ impl RandomConvNet {
         self.seed
     }
 
-    /// Returns the features `[FEATURES]` of an image of any size (levels are scaled to -1 to 1); `None` if it
-    /// has no pixels.
+    /// Returns the features `[FEATURES]` of an image with any size (levels are scaled to -1 to 1); `None` if
+    /// it has no pixels.
     pub fn features(&self, image: &RgbImage) -> Option<Vec<f64>> {
         let values = image.as_raw().iter().map(|level| f32::from(*level) / 127.5 - 1.0).collect();
         let input = Plane { height: image.height() as usize, width: image.width() as usize, values };

@@ -59,7 +59,7 @@ pub fn frechet_distance(a: &FeatureSet, b: &FeatureSet) -> Result<f64, FrechetEr
     Ok((apart + trace_a + trace_b - 2.0 * scale * cross).max(0.0))
 }
 
-/// Mean of a set of features, and deviations from it.
+/// Mean of a feature set, and deviations from it.
 struct Moments {
     mean: Vec<f64>,
     rows: usize,

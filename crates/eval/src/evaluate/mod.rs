@@ -30,8 +30,8 @@ pub struct EvaluateOptions {
     /// Rollouts whose ground-truth images and class maps train the patch classifier; the other half of the
     /// steps if empty.
     pub classifier_from: Vec<PathBuf>,
-    /// Rollouts whose ground-truth images are the reference set of the Fréchet distances; those of `rollouts`
-    /// if empty.
+    /// Rollouts whose ground-truth images are the reference set of the Fréchet distances; `rollouts`
+    /// themselves if empty.
     pub references: Vec<PathBuf>,
     /// Features of another network for generated and for ground-truth images, NPY files `[N, D]`.
     pub features: Option<[PathBuf; 2]>,

@@ -22,7 +22,7 @@ pub struct Report {
     mean: BTreeMap<String, Option<MeanInterval>>,
     /// Distances over the images and videos of all rollouts.
     distances: Distances,
-    /// Distance of the features of another network.
+    /// Feature distance by another network.
     given_features: Option<Distance>,
     patch_classifier: PatchesAbout,
     notes: Vec<String>,

@@ -32,7 +32,7 @@ enum Patches {
     None,
     /// Classifier trained on other rollouts.
     One(PatchClassifier),
-    /// Classifiers for the first and the second half of the steps of each rollout, each trained on the other
+    /// Classifiers for the first and the second half of each rollout's steps, each trained on the other
     /// halves.
     Halves([PatchClassifier; 2]),
 }

@@ -22,7 +22,7 @@ const HEADER: [&str; 14] = [
     "same, own points only",
 ];
 
-/// Kinds of the files of a report.
+/// File kinds of a report.
 pub struct FidelityFiles;
 
 impl FidelityFiles {

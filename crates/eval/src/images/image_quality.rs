@@ -45,7 +45,7 @@ pub fn psnr_db(image: &RgbImage, truth: &RgbImage) -> Option<f64> {
     Some(10.0 * (255.0_f64.powi(2) * a.len() as f64 / squares as f64).log10())
 }
 
-/// Returns the lower median of a histogram of levels.
+/// Returns the lower median of a level histogram.
 fn median(histogram: &[u64; 256], count: u64) -> f64 {
     let mut below = 0;
     for (level, n) in histogram.iter().enumerate() {

@@ -15,10 +15,10 @@ pub struct Motion {
     /// `sum(dG·dT) / sum(dT·dT)` on moving actors: 1 moves like the ground truth, 0 does not move. `None` if
     /// the ground truth does not change.
     pub slope: Option<f64>,
-    /// Number of pixels of moving actors that were compared.
+    /// Number of compared pixels on moving actors.
     pub moving_pixels: u64,
-    /// Root mean square of dG over that of dT on all other pixels: 1 changes like the ground truth. `None` if
-    /// the ground truth does not change, as with a stationary ego.
+    /// Root mean square of dG, relative to dT's, on all other pixels: 1 changes like the ground truth. `None`
+    /// if the ground truth does not change, as with a stationary ego.
     pub flicker: Option<f64>,
     /// Root mean square of dG on all other pixels, levels; `None` if there are none.
     pub static_generated_rms: Option<f64>,
@@ -110,7 +110,7 @@ impl MotionSums {
     }
 }
 
-/// Returns the mask of pixels of an instance map that show one of the actors with the given numbers.
+/// Returns the pixels of an instance map that show an actor with one of the given numbers.
 pub fn moving_mask(instance: &[u32], moving: &[u32]) -> Vec<bool> {
     instance.par_iter().map(|number| moving.contains(number)).collect()
 }

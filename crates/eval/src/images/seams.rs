@@ -44,8 +44,8 @@ impl SeamSums {
         }
     }
 
-    /// Returns the mean difference across borders divided by that elsewhere, of the direction in which it is
-    /// larger. About 1 without seams; `None` if there is no border or no difference.
+    /// Returns the mean difference across borders relative to elsewhere, for the direction with the larger
+    /// one. About 1 without seams; `None` if there is no border or no difference.
     pub fn ratio(&self) -> Option<f64> {
         let [columns, rows] = self.axes.map(|sums| sums.ratio());
         Some(columns?.max(rows?))

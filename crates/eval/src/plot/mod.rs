@@ -107,7 +107,7 @@ impl Plot<'_> {
         freest.map_or(SeriesLabelPosition::UpperRight, |(_, position)| position)
     }
 
-    /// Returns the range of all values of an axis, with a margin in y.
+    /// Returns the value range of an axis, with a margin in y.
     fn range(&self, axis: usize) -> Range<f64> {
         let values = || self.curves.iter().flat_map(Curve::finite).map(|point| point[axis]);
         let (low, high) =

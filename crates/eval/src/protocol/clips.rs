@@ -7,8 +7,7 @@ use super::definition::{Length, Part, PartRates};
 /// Clip of a log to generate.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Clip {
-    /// Name, also of the rollout's folder: that of the log, with the second of its start if a log has
-    /// several.
+    /// Name, also of the rollout's folder: the log's, with the second of its start if a log has several.
     pub name: String,
     /// Time of the first frame, absolute microseconds.
     pub start_us: i64,
@@ -18,7 +17,7 @@ pub struct Clip {
     pub frames: usize,
 }
 
-/// Rates of the steps of a clip.
+/// Step rates of a clip.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum ClipClock {
     /// Every N-th frame of the log is a step and generated.
@@ -27,7 +26,7 @@ pub enum ClipClock {
     Rates(Rates),
 }
 
-/// Largest relative difference between a rate and that of frames which have it.
+/// Largest relative difference between a rate and the rate of frames that have it.
 const RATE_TOLERANCE: f64 = 0.05;
 
 /// Error of a log with too few frames to generate one after the references.
@@ -86,8 +85,8 @@ impl Part {
         Ok((0..count).map(clip).take_while(fits).collect())
     }
 
-    /// Returns the clock of its clips of a log, and the rate of their frames in hertz. Parts that follow the
-    /// log step from frame to frame if its frames have their rate, since ground-truth images are those of
+    /// Returns the clock of its clips in a log, and the rate of their frames in hertz. Parts that follow the
+    /// log step from frame to frame if its frames have their rate, since ground-truth images exist for
     /// frames.
     fn clock(&self, log: &Recording, rates: Rates) -> (ClipClock, f64) {
         // The stride of frames that is closest to a rate, and the rate of these frames.

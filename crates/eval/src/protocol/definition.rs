@@ -26,7 +26,7 @@ pub struct Part {
     pub rates: PartRates,
     /// Length of a clip.
     pub length: Length,
-    /// Seconds from the start of a clip to that of the next one; `None` for one clip at the start of each
+    /// Seconds from the start of a clip to the start of the next; `None` for one clip at the start of each
     /// log.
     pub every_s: Option<f64>,
     /// Part whose ground-truth images are the reference set of the Fréchet distances; `None` for its own.

@@ -1,4 +1,4 @@
-//! Evaluation protocols: which clips of which logs are generated, and how they are compared.
+//! Evaluation protocols: which clips are generated from which logs, and how they are compared.
 //!
 //! # How it works
 //! A [`Protocol`] has names of logs and parts. A [`Part`] is a policy of the ego, a rate and a length;

@@ -43,7 +43,7 @@ pub struct ProtocolReport {
 /// Counts of logs.
 #[derive(Clone, Copy, Debug, Serialize)]
 struct Logs {
-    /// Number of logs of the protocol; 0 if it is defined for any logs.
+    /// Number of logs in the protocol; 0 if it is defined for any logs.
     defined: usize,
     /// Number of its logs that have results.
     present: usize,
@@ -85,7 +85,7 @@ struct OffRoad {
 
 impl ProtocolReport {
     /// Scores the rollouts of all parts in the folder `root`; `logs` are the names of their logs. `on_start`
-    /// and `on_step` are those of [`evaluate`], called for each part.
+    /// and `on_step` are passed to [`evaluate`] for each part.
     ///
     /// # Errors
     /// Fails as [`evaluate`], and if the metrics of a rollout cannot be read.

@@ -11,7 +11,7 @@ pub struct CollectedFeatures {
     /// Features of images, `[N, 64]`.
     generated: FeatureSet,
     truth: FeatureSet,
-    /// Features of windows of videos, `[N, 128]`.
+    /// Features of video windows, `[N, 128]`.
     generated_windows: FeatureSet,
     truth_windows: FeatureSet,
 }
@@ -21,9 +21,9 @@ pub struct CollectedFeatures {
 pub struct Distance {
     /// The distance, see [`frechet_distance`].
     pub distance: f64,
-    /// Number of rows of generated features.
+    /// Row count of generated features.
     pub generated: usize,
-    /// Number of rows of ground-truth features.
+    /// Row count of ground-truth features.
     pub truth: usize,
     /// Number of features per row.
     pub features: usize,
@@ -88,7 +88,7 @@ impl CollectedFeatures {
         fits
     }
 
-    /// Replaces the features of ground-truth images by those of other rollouts.
+    /// Replaces the features of ground-truth images by features from other rollouts.
     #[must_use]
     pub fn with_truth_of(self, reference: &Self) -> Self {
         let Self { truth, truth_windows, .. } = reference.clone();

@@ -61,7 +61,7 @@ pub enum ScoreError {
         what: &'static str,
         /// Index of the camera.
         camera: usize,
-        /// Number of pixels of the generated image.
+        /// Pixel count of the generated image.
         expected: usize,
         /// Number of pixels given.
         found: usize,

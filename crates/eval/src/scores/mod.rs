@@ -20,7 +20,7 @@ use crate::images::motion::{MotionSums, MovingFrame};
 use crate::images::sharpness::sharpness;
 use crate::images::ssim::ssim;
 
-/// Sides of the blocks whose seams are measured, pixels: those of latents and tokens of the included network.
+/// Sides of the blocks whose seams are measured, pixels: the latents and tokens of the included network.
 const SEAM_SIDES: [usize; 2] = [4, 8];
 
 /// Scores a rollout of generated images step by step, in memory.
@@ -190,7 +190,7 @@ impl RolloutScores {
         });
     }
 
-    /// Compares the masks of each segmentation model with those of the class maps.
+    /// Compares the masks of each segmentation model with the masks of the class maps.
     fn add_segmented(&mut self, frame: &ScoredFrame<'_>) {
         let labels: Option<Vec<Vec<bool>>> = frame.class.map(|class| {
             let maps = class.iter().zip(frame.generated);

@@ -55,7 +55,7 @@ pub struct Scores {
     pub sharpness: Series,
     /// Sharpness of ground-truth images.
     pub sharpness_truth: Series,
-    /// Sharpness of generated images divided by that of ground-truth images, per step.
+    /// Sharpness of generated images divided by the sharpness of ground-truth images, per step.
     pub sharpness_ratio: Series,
     /// Differences between pixels across the borders of blocks, relative to those elsewhere, by the side of
     /// the blocks; see [`SeamSums::ratio`](crate::SeamSums::ratio).

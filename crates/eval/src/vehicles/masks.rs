@@ -1,4 +1,4 @@
-/// Pixel counts of the overlap of two masks, over any number of images.
+/// Pixel counts for the overlap of two masks, over any number of images.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Overlap {
     /// Pixels in both masks.

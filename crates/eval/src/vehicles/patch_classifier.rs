@@ -17,7 +17,7 @@ pub struct PatchOptions {
     pub trees: usize,
     /// Maximum depth of a tree.
     pub max_depth: u16,
-    /// Maximum number of pixels sampled per image: half of them of vehicles, if there are enough.
+    /// Maximum number of pixels sampled per image: half of them on vehicles, if there are enough.
     pub pixels_per_image: usize,
     /// Maximum number of training pixels.
     pub pixels: usize,
@@ -76,7 +76,7 @@ pub struct PatchTrainer {
 struct Sample {
     features: Vec<f32>,
     vehicle: bool,
-    /// Number of pixels of the same class and image that it represents.
+    /// Number of pixels that it represents: of the same class, in the same image.
     weight: f64,
 }
 

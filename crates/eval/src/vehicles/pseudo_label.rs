@@ -21,7 +21,7 @@ pub fn vehicle_mask(class: &[u8], width: usize) -> Vec<bool> {
         .collect()
 }
 
-/// Returns the 3x3 pixels of which row `y` and column `x` are the first.
+/// Returns the 3x3 pixels that begin with row `y` and column `x`.
 fn around(y: usize, x: usize) -> impl Iterator<Item = (usize, usize)> {
     (y..y + 3).flat_map(move |y| (x..x + 3).map(move |x| (y, x)))
 }

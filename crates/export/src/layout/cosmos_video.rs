@@ -39,7 +39,7 @@ struct Picture {
     pixels: Vec<[u8; 3]>,
 }
 
-/// Checks that the encoder can encode images of the sizes of all maps.
+/// Checks that the encoder accepts the sizes of all maps.
 pub(super) fn check(options: &ExportOptions, log: &Recording) -> Result<(), ExportError> {
     let (size, out_size) = (options.conditions.size, options.conditions.out_size);
     for rig in &log.rig {

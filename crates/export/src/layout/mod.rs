@@ -128,7 +128,7 @@ pub(crate) trait LayoutWriter {
     fn finish(self: Box<Self>, shard: &mut Shard) -> Result<(), ExportError>;
 }
 
-/// Returns the sizes of the maps of all cameras.
+/// Returns the map sizes of all cameras.
 pub(crate) fn sizes(maps: &Maps) -> Vec<ImageSize> {
     maps.cameras().iter().map(|camera| camera.size()).collect()
 }

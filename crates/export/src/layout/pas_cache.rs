@@ -44,8 +44,7 @@ impl<'a> PasCache<'a> {
     }
 }
 
-/// Returns the frame whose time is nearest, of two such frames the earlier one; times are those of frames by
-/// index.
+/// Returns the frame whose time is nearest, the earlier one of two; times belong to frames by index.
 fn nearest(t_us: i64, times: impl Iterator<Item = (usize, i64)>) -> Option<usize> {
     times.min_by_key(|(index, time_us)| (time_us.abs_diff(t_us), *index)).map(|(index, _)| index)
 }

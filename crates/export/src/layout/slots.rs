@@ -23,8 +23,8 @@ const SLOTS: [Slot; 7] = [
     Slot { name: "camera:front:tele:30fov", yaw_deg: 0.0 },
 ];
 
-/// Returns the name of the slot of each camera: pairs with the smallest angle between their directions come
-/// first. `None` for cameras beyond seven.
+/// Returns the slot name of each camera: pairs with the smallest angle between their directions come first.
+/// `None` for cameras beyond seven.
 pub(super) fn names(rig: &[RigCamera]) -> Vec<Option<&'static str>> {
     let yaw = |camera: &RigCamera| {
         let axis = camera.ego_from_camera.rotation * DVec3::Z;

@@ -90,8 +90,8 @@ impl Stored {
     }
 }
 
-/// Returns the file for an input. After a first byte of 0, the input is edits of the header of `base`; after
-/// a 1, it is positions (two bytes), each with its new byte. Any other input is the file itself.
+/// Returns the file for an input. After a first byte of 0, the input edits the header of `base`; after a 1,
+/// it is positions (two bytes), each with its new byte. Any other input is the file itself.
 fn file(data: &[u8], base: &[u8], key: &str) -> Vec<u8> {
     match data.split_first() {
         Some((0, edits)) => with_header(base, key, edits),

@@ -5,8 +5,8 @@ use point_skeleton::scene::TemplateFit;
 
 use crate::Recipe;
 
-/// Conditions and denoising loop of a network of the paper *Point as Skeleton*. Source: the configurations of
-/// its reference implementation.
+/// Conditions and denoising loop for a network from the paper *Point as Skeleton*. Source: the configurations
+/// of its reference implementation.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Preset {
     /// Conditions.

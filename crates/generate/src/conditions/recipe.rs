@@ -28,7 +28,7 @@ pub struct Recipe {
     pub min_actor_points: usize,
     /// See [`SelectionOptions::template_fit`].
     pub template_fit: TemplateFit,
-    /// Width of the lines of layouts.
+    /// Line width of layouts.
     pub line_width: LineWidth,
     /// Outlines of the HD map in its layout.
     pub map_layers: LayoutLayers,

@@ -1,6 +1,6 @@
 use serde::{Deserialize, Serialize};
 
-/// Shape of the latents of a frame, `[V, C, h, w]`.
+/// Latent shape of a frame, `[V, C, h, w]`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct LatentShape {
     /// Number of cameras, V.

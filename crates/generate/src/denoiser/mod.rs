@@ -104,7 +104,7 @@ impl<D: Denoiser + ?Sized> Denoiser for Box<D> {
 
 /// Encodes images into latents and decodes latents into images.
 pub trait Codec {
-    /// Shape of the latents of a frame.
+    /// Latent shape of a frame.
     fn shape(&self) -> LatentShape;
 
     /// Encodes the images of one frame, one per camera.

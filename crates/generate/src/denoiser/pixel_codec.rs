@@ -3,8 +3,7 @@ use image::{Rgb, RgbImage};
 use crate::{Codec, DenoiserError, FrameConditions, Latent, LatentShape};
 
 /// Codec whose latents are the pixels themselves, in patches. Channel `(color * p + row) * p + column` of a
-/// location is one pixel of its `p x p` patch, from -1 to 1. The order is that of PyTorch's
-/// `pixel_unshuffle`.
+/// location is one pixel of its `p x p` patch, from -1 to 1. The order equals PyTorch's `pixel_unshuffle`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct PixelCodec {
     shape: LatentShape,

@@ -28,7 +28,7 @@ pub struct Level {
     pub sigma: f32,
 }
 
-/// Noise schedule of a number of inference steps, with its denoising update.
+/// Noise schedule for a number of inference steps, with its denoising update.
 #[derive(Clone, Debug)]
 pub struct Sampler {
     steps: usize,

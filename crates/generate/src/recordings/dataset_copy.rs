@@ -21,7 +21,7 @@ const QUALITY: u8 = 95;
 pub struct ImageCounts {
     /// Number of replaced images.
     pub replaced: usize,
-    /// Number of images of references, and of frames that were not generated.
+    /// Number of reference images, and of frames that were not generated.
     pub kept: usize,
 }
 
@@ -83,7 +83,7 @@ impl<'a> DatasetCopy<'a> {
         Ok(())
     }
 
-    /// Writes the copy with the images of rollouts of some logs, enlarged to the original size.
+    /// Writes the copy with the images from rollouts of some logs, enlarged to the original size.
     ///
     /// # Errors
     /// Fails if a rollout has no generated images at its log's frames, or if a file cannot be read or
@@ -103,7 +103,7 @@ impl<'a> DatasetCopy<'a> {
     }
 }
 
-/// Checks that neither the folder of a copy nor that of a rollout is in the other. They need not exist.
+/// Checks that neither a copy's folder nor a rollout's is inside the other. They need not exist.
 fn check_apart(folder: &Path, rollout: &Path) -> Result<(), FileError> {
     let found = match (is_inside(folder, rollout), is_inside(rollout, folder)) {
         (false, false) => return Ok(()),

@@ -82,7 +82,7 @@ impl DriveFrame {
         Ok(frame)
     }
 
-    /// Returns the conditions of the frame, of maps of a size.
+    /// Returns the conditions of the frame, from maps with a size.
     pub fn conditions(&self, size: ImageSize, encoder: &TensorEncoder) -> FrameConditions {
         let pixels = size.pixels();
         let views = self.color.chunks(pixels).zip(self.bins.chunks(pixels));

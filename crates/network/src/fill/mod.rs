@@ -7,8 +7,8 @@ use super::kernels::neighbors;
 /// Value of images without any known pixel.
 const UNKNOWN: f32 = 0.5;
 
-/// Returns the pixels of a color image, of which those that are not known are filled from known ones; both
-/// have one entry per pixel, row by row. Without any known pixel the result is gray.
+/// Returns the pixels of a color image, with unknown ones filled from known ones; both have one entry per
+/// pixel, row by row. Without any known pixel the result is gray.
 pub fn fill_holes(color: &[[u8; 3]], known: &[bool], width: usize) -> Vec<[u8; 3]> {
     let values =
         color.iter().map(|pixel| pixel.map(f32::from)).map(|pixel| pixel.map(|c| c / 255.0)).collect();
@@ -70,7 +70,7 @@ impl<const C: usize> Level<C> {
     }
 }
 
-/// Returns the bilinear value of a pixel of the image at twice the size.
+/// Returns the bilinear value of a pixel in the image at twice the size.
 fn between<const C: usize>(values: &[[f32; C]], width: usize, [y, x]: [usize; 2]) -> [f32; C] {
     let height = values.len() / width;
     let mut sums = [0.0; C];

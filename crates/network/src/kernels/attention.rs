@@ -24,7 +24,7 @@ pub(in super::super) struct AttentionMlp {
 /// Minimum number of rows per task.
 const ROWS_PER_TASK: usize = 64;
 
-/// Buffers for a head of a group of n tokens of width c. Rows of weights are padded to N, a multiple of
+/// Buffers for a head, in a group with n tokens of width c. Rows of weights are padded to N, a multiple of
 /// [`LANES`].
 #[derive(Default)]
 struct Scratch {
@@ -150,7 +150,7 @@ impl AttentionMlp {
         out
     }
 
-    /// Computes the gradient of the input, `[R, 3d + m]`, from that of the output, `[R, d + m]`.
+    /// Computes the gradient of the input, `[R, 3d + m]`, from the output's, `[R, d + m]`.
     pub(in super::super) fn backward(&self, u: &[f32], grad: &[f32]) -> Vec<f32> {
         let ((n, _), c, d, m) = (self.lengths(), self.head, self.width, self.hidden);
         let rows = self.grid.rows();
@@ -180,7 +180,7 @@ impl AttentionMlp {
         out
     }
 
-    /// Computes the gradients of q, k and v of a head of a group into `slopes`, `[n, 3d]`.
+    /// Computes the gradients of q, k and v, for one head and group, into `slopes`, `[n, 3d]`.
     #[inline(always)]
     fn head_backward(
         &self,

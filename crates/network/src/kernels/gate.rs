@@ -5,7 +5,7 @@ use super::math::wide;
 /// Minimum number of rows per task.
 const ROWS_PER_TASK: usize = 64;
 
-/// Returns `x + gate y`; `x, y [R, d]`, `gate [G, d]`, each row of which applies to `R / G` consecutive rows.
+/// Returns `x + gate y`; `x, y [R, d]`, `gate [G, d]`; each gate row applies to `R / G` consecutive rows.
 pub(in super::super) fn gate_forward(x: &[f32], y: &[f32], gate: &[f32], d: usize) -> Vec<f32> {
     let per_group = x.len() / gate.len();
     let mut out = vec![0.0_f32; x.len()];
@@ -24,7 +24,8 @@ pub(in super::super) fn gate_forward(x: &[f32], y: &[f32], gate: &[f32], d: usiz
     out
 }
 
-/// Returns the gradients of `y` and of the gate from that of the output, which is also that of `x`.
+/// Returns the gradients of `y` and of the gate from the output's gradient, which is also the gradient of
+/// `x`.
 pub(in super::super) fn gate_backward(
     y: &[f32],
     gate: &[f32],

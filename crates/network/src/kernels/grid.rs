@@ -49,7 +49,7 @@ impl Grid {
         }
     }
 
-    /// Returns the row of a token of a group.
+    /// Returns the row of a group's token.
     #[inline]
     pub(super) fn row(&self, attend: Attend, group: usize, token: usize) -> usize {
         match attend {

@@ -117,7 +117,7 @@ impl WithSimd for Product<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(mut self, simd: S) {
-        // Six rows of two vectors fill 12 of the 16 registers of AVX2.
+        // Six rows of two vectors fill 12 of AVX2's 16 registers.
         let mut first = 0;
         while first + 6 <= self.rows {
             self.band::<S, 6>(simd, first);

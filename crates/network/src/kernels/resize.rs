@@ -1,6 +1,6 @@
 use rayon::prelude::*;
 
-/// Halving and doubling of images `[N, H, W, C]`; H and W are those of the larger image, and even.
+/// Halving and doubling of images `[N, H, W, C]`; H and W belong to the larger image, and are even.
 #[derive(Clone, Copy, Debug)]
 pub(in super::super) struct Resize {
     pub(in super::super) height: usize,
@@ -29,7 +29,7 @@ impl Resize {
         out
     }
 
-    /// Returns the gradient of the input of [`Resize::halve`].
+    /// Returns the gradient of [`Resize::halve`]'s input.
     pub(in super::super) fn halve_backward(&self, grad: &[f32]) -> Vec<f32> {
         let Self { height, width, channels: c } = *self;
         let mut out = vec![0.0_f32; grad.len() * 4];
@@ -69,7 +69,7 @@ impl Resize {
         out
     }
 
-    /// Returns the gradient of the input of [`Resize::double`].
+    /// Returns the gradient of [`Resize::double`]'s input.
     pub(in super::super) fn double_backward(&self, grad: &[f32]) -> Vec<f32> {
         let Self { height, width, channels: c } = *self;
         let (low, across) = (height / 2, width / 2);
@@ -91,7 +91,7 @@ impl Resize {
     }
 }
 
-/// Returns the two pixels of a line of `count` that a pixel of the doubled line lies between, and their
+/// Returns the two neighbors of a pixel of the doubled line, within a line of `count` pixels, and their
 /// shares: the nearer and the other one.
 pub(in super::super) fn neighbors(place: usize, count: usize) -> [(usize, f32); 2] {
     let nearer = place / 2;

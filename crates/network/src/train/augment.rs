@@ -1,4 +1,4 @@
-//! Random changes of the frames of a window: appearance, exposure, points, and reflection.
+//! Random changes to the frames of a window: appearance, exposure, points, and reflection.
 
 use point_skeleton::geometry::ImageSize;
 use pskel_generate::DriveFrame;
@@ -8,13 +8,13 @@ use rand_core::Rng;
 /// Changes of a window.
 pub(super) struct Augmentation {
     appearance: Option<Appearance>,
-    /// Factor of the color of each camera.
+    /// Color factor of each camera.
     exposures: Vec<f32>,
     thinning: Thinning,
     is_mirrored: bool,
 }
 
-/// Change of the colors of points and images alike.
+/// Color change of points and images alike.
 struct Appearance {
     gamma: f32,
     gains: [f32; 3],
@@ -27,13 +27,13 @@ struct Appearance {
 struct Thinning {
     /// Share of single pixels.
     pixels: f32,
-    /// Share of blocks of 8x8 pixels.
+    /// Share of 8x8-pixel blocks.
     blocks: f32,
     /// Rows at the top, as a share of the height.
     top: f32,
 }
 
-/// Side of the blocks of [`Thinning`].
+/// Block side of [`Thinning`].
 const BLOCK: usize = 8;
 
 /// Samples a uniform number in [0, 1), of 24 bits.
@@ -46,7 +46,7 @@ fn between(random: &mut ChaCha8Rng, low: f32, high: f32) -> f32 {
 }
 
 impl Augmentation {
-    /// Draws the changes of a window of `views` cameras, each with a probability of `share`.
+    /// Draws the changes for a window with `views` cameras, each with a probability of `share`.
     pub(super) fn draw(share: f32, views: usize, random: &mut ChaCha8Rng) -> Self {
         let mut chance = |of: f32| unit(random) < of * share;
         let [changed, exposed, thinned, cut, covered, mirrored] =

@@ -14,13 +14,13 @@ use crate::{Inputs, NetworkConfig, NetworkError, Statistics, latent_rows};
 
 /// Minimum noise level of a frame that is not finished.
 const SIGMA_MIN: f32 = 0.005;
-/// Maxima of the errors of frames, in units of latents: logarithm of the gain, shift of all channels and of
-/// each, and noise.
+/// Maximum errors of frames, in latent units: logarithm of the gain, shift of all channels and of each, and
+/// noise.
 const MOST_GAIN: f32 = 0.2;
 const MOST_SHIFT: f32 = 0.3;
 const MOST_TINT: f32 = 0.1;
 const MOST_NOISE: f32 = 0.3;
-/// Noise level from which on noisy frames have errors to their full extent.
+/// Minimum noise level at which noisy frames have their full errors.
 const FULL_ERRORS: f32 = 0.3;
 
 /// Training batch of a step: windows of frames. Latents are rows `[R, C]`.

@@ -38,7 +38,7 @@ impl Default for RecordOptions {
 pub struct ClipRecorder<'a> {
     /// Folder of the clips.
     pub folder: &'a Path,
-    /// Everything that the command reads, of which the folder is no part.
+    /// Everything that the command reads, and that must not contain the folder.
     pub read: &'a Inputs,
     /// Network, which determines the recipe of the conditions.
     pub config: &'a NetworkConfig,

@@ -18,7 +18,7 @@ const IMAGE_WEIGHT: f64 = 100.0;
 /// Weight of the differences between neighboring pixels beside the pixels themselves.
 const GRADIENT_WEIGHT: f64 = 0.5;
 
-/// Returns the loss: that of the answers, and that of the images which are decoded from them.
+/// Returns the loss: the loss of the answers, and the loss of the images decoded from them.
 ///
 /// # Errors
 /// Returns any error of the tensor library.

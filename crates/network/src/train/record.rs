@@ -34,10 +34,10 @@ pub(super) struct Variant {
 /// Error of recording or opening training clips.
 #[derive(Debug, thiserror::Error)]
 pub enum RecordError {
-    /// The network does not take the number of cameras of the log.
+    /// The network does not support the log's camera count.
     #[error("expected 1 to 8 cameras, found {found} in log {log}")]
     Cameras {
-        /// Number of cameras of the log.
+        /// Camera count of the log.
         found: usize,
         /// Name of the log.
         log: String,

@@ -65,7 +65,7 @@ const LOSS: &str = "loss.csv";
 const CURVE: &str = "loss.svg";
 
 impl TrainingFolder {
-    /// Opens a new or empty folder, or that of an earlier training.
+    /// Opens a new or empty folder, or the folder of an earlier training.
     ///
     /// # Errors
     /// Fails if the folder is in use, has other files or is one of `inputs`, or if it cannot be written.

@@ -4,9 +4,9 @@ use rayon::prelude::*;
 
 use crate::{Inputs, NetworkConfig, NetworkError, Statistics, latent_rows};
 
-/// Number of channels of the latents.
+/// Channel count of the latents.
 const CHANNELS: usize = 3;
-/// Minimum standard deviation of a channel, and of the error of the guess; prevents division by 0.
+/// Minimum standard deviation of a channel, and of the guess's error; prevents division by 0.
 const SCALE_MIN: f64 = 1e-3;
 const PRIOR_MIN: f64 = 1e-2;
 /// Maximum number of frames whose guess is compared, spread evenly over all recordings.

@@ -25,7 +25,7 @@ pub struct NetworkConfig {
     pub head: usize,
     /// Width of the hidden layers, m.
     pub hidden: usize,
-    /// Kind of attention of each block, in order.
+    /// Attention kind of each block, in order.
     pub blocks: Vec<Attend>,
 }
 
@@ -65,7 +65,7 @@ impl NetworkConfig {
         json::read(path, "a network's configuration")
     }
 
-    /// Latent shape of a frame of some cameras: the mean colors of 4x4 pixels.
+    /// Latent shape of a frame with some cameras: the mean colors of 4x4 pixels.
     pub fn shape(&self, cameras: usize) -> LatentShape {
         let [height, width] = self.divided(CELL);
         LatentShape { views: cameras, channels: LATENT_CHANNELS, height, width }
@@ -122,7 +122,7 @@ impl NetworkConfig {
         [height as usize / by.max(1), width as usize / by.max(1)]
     }
 
-    /// Returns the token grid of a number of windows, frames and cameras.
+    /// Returns the token grid for this many windows, frames and cameras.
     pub(crate) fn grid(&self, windows: usize, frames: usize, views: usize) -> Grid {
         let [height, width] = self.divided(TOKEN);
         Grid { windows, frames, views, height, width }

@@ -32,7 +32,7 @@ impl Parameter {
 }
 
 /// Columns of the modulation: of the first and the last residual block (shift, scale and gate), of the output
-/// (shift and scale), and of each block of tokens (shift, scale and gate).
+/// (shift and scale), and of each token block (shift, scale and gate).
 pub(crate) struct Modulations {
     quarter: usize,
     width: usize,
@@ -49,7 +49,7 @@ impl Modulations {
         self.output() + 2 * self.quarter
     }
 
-    /// First column of a block of tokens.
+    /// First column of a token block.
     pub(crate) fn block(&self, block: usize) -> usize {
         3 * self.width * block
     }

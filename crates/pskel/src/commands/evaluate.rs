@@ -39,7 +39,7 @@ pub(crate) struct EvaluateArgs {
     /// [default: those of the scored rollouts]
     #[arg(long, value_name = "DIR")]
     reference: Vec<PathBuf>,
-    /// Also compute a Fréchet distance of features of another network: NPY files of f32 or f64 [N, D], for
+    /// Also compute a Fréchet distance from another network's features: NPY files of f32 or f64 [N, D], for
     /// generated and for ground-truth images
     #[arg(long, value_names = ["GEN.npy", "TRUE.npy"], num_args = 2)]
     features: Vec<PathBuf>,

@@ -93,7 +93,7 @@ pub(crate) struct ExportArgs {
     rasterizer: RasterizerArgs,
 }
 
-/// Runs the command: lists the shards, and exports those of this process.
+/// Runs the command: lists the shards, and exports this process's.
 pub(crate) fn run(args: ExportArgs) -> anyhow::Result<()> {
     let start = Instant::now();
     let out = args.out.clone();
@@ -131,7 +131,7 @@ struct Standalone {
 pub struct ListedExport {
     /// All shards, for the index. Without them no index is written.
     pub list: Option<WorkList>,
-    /// Shards to write: those of `--only`.
+    /// Shards to write: the shards of `--only`.
     pub part: WorkList,
     /// Logs that cannot be opened.
     pub failures: Vec<Failure>,

@@ -21,7 +21,7 @@ use crate::{WrongUsage, say};
 
 /// Regenerate the images of a log from its conditions: ego and actors follow the log
 ///
-/// Writes a rollout like that of `pskel simulate` with one step per frame: steps/STEP with the maps,
+/// Writes a rollout like `pskel simulate`'s with one step per frame: steps/STEP with the maps,
 /// generated/CAM.png and truth/CAM.png, index.html, a page that plays it, and rollout.mp4. The first frames
 /// are references, which are ground-truth images.
 #[derive(Debug, Args)]

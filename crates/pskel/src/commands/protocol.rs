@@ -210,7 +210,7 @@ impl ProtocolArgs {
         Ok(parts)
     }
 
-    /// Returns the logs to generate: those of the protocol, each once, or any with `--other-logs`.
+    /// Returns the logs to generate: the protocol's logs, each once, or any with `--other-logs`.
     fn logs(&self, opener: &LogOpener) -> anyhow::Result<Vec<LogLocator>> {
         let mut found = Vec::new();
         for log in &self.logs {
@@ -237,8 +237,8 @@ impl ProtocolArgs {
         Err(WrongUsage(message).into())
     }
 
-    /// Writes the settings, or compares them with those of an earlier run. Returns the number of the
-    /// generator's reference frames.
+    /// Writes the settings, or compares them with an earlier run's. Returns the number of the generator's
+    /// reference frames.
     fn settle(&self, logs: &[LogLocator], opener: &LogOpener, files: &OutputFolder) -> anyhow::Result<usize> {
         let first = logs.first().context("expected a recording, found none")?;
         let log = logs::open_by(first, opener)?;

@@ -117,7 +117,7 @@ fn read(args: &TemplatesArgs, instances: &mut Instances, scratch: &Path) -> anyh
     Ok(sources)
 }
 
-/// Builds a skeleton of all frames of a log.
+/// Builds a skeleton from all frames of a log.
 fn build(out: &Path, log: &Log) -> Result<Skeleton, BuildError> {
     let progress = StageProgress::default();
     let run = BuildRun { progress: &progress, ..BuildRun::default() };

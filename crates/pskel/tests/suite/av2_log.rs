@@ -82,7 +82,7 @@ impl TinyAv2 {
         self.folder.path()
     }
 
-    /// Returns the path of a file of the log.
+    /// Returns the path of a log file.
     pub(crate) fn path(&self, name: &str) -> PathBuf {
         self.root().join(LOG_ID).join(name)
     }
@@ -145,7 +145,7 @@ pub(crate) fn write(path: &Path, columns: Columns, compression: Option<Compressi
     writer.finish().unwrap();
 }
 
-/// Reads the columns of a table of one batch.
+/// Reads the columns of a one-batch table.
 pub(crate) fn read(path: &Path) -> Columns {
     let batch = FileReader::try_new(File::open(path).unwrap(), None).unwrap().next().unwrap().unwrap();
     let names = batch.schema().fields().iter().map(|f| f.name().clone()).collect::<Vec<_>>();

@@ -33,7 +33,7 @@ fn a_log_becomes_a_skeleton_and_every_point_is_accounted_for() {
     let one = log.json("out/sk/skeleton.json");
     assert_eq!((&one["sources"][0]["frames"], &one["options"]["voxel_m"]), (&json!(1), &json!(0.0)));
     assert_eq!(one["options"]["split"]["margin_m"], 0.2);
-    // The points of actors are retained, those of the background merged.
+    // Actor points are retained, background points merged.
     log.succeed("build nuscenes:log --out out/sk --voxel 0.5 --actor-voxel 0");
     let mixed = log.json("out/sk/skeleton.json");
     let points = |of: &str| {

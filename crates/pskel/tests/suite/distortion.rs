@@ -232,7 +232,7 @@ fn what_cannot_be_distorted_is_an_error() {
         let area = ConditionOptions { color_filter, ..ConditionOptions::default() };
         assert!(matches!(Distorter::new(&area), Err(ConditionError::DistortedArea)));
     }
-    // A crop of the corner of a wide image: there the lens shows points that a pinhole sees far outside the
+    // A crop at the corner of a wide image: there the lens shows points that a pinhole sees far outside the
     // image.
     let mut view = view("corner", BARREL);
     view.camera.intrinsics.z_axis = DVec3::new(-80.0, -44.0, 1.0);

@@ -321,7 +321,7 @@ fn images_between_frames_are_samples() {
     for token in ["betweenCAM_FRONT100000", "betweenCAM_BACK140000", "betweenCAM_FRONT300000", "d2CAM_BACK"] {
         assert!(log.path(&format!("out/proj_depth_g1.0/{token}.png")).exists(), "{token}");
     }
-    // Their ego is that of frame 0, as are the points; the car has moved on.
+    // Their ego and points belong to frame 0; the car has moved on.
     let color = |token: &str| std::fs::read(log.path(&format!("out/proj_clr/{token}.png"))).unwrap();
     assert!(color("betweenCAM_BACK140000") == color("d0CAM_BACK"));
     assert!(color("betweenCAM_FRONT300000") != color("d0CAM_FRONT"));

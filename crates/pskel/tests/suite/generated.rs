@@ -41,7 +41,7 @@ fn kinds(log: &TinyLog, steps: usize) -> Vec<Value> {
     (0..steps).map(|step| log.json(&format!("out/steps/{step:06}/generated.json"))["kind"].clone()).collect()
 }
 
-/// Returns the means of blocks of 8 x 8 pixels.
+/// Returns the means of 8 x 8 pixel blocks.
 fn block_means(image: &RgbImage) -> RgbImage {
     RgbImage::from_fn(image.width() / 8, image.height() / 8, |x, y| {
         let block = image::imageops::crop_imm(image, 8 * x, 8 * y, 8, 8).to_image();
@@ -218,8 +218,8 @@ fn a_denoiser_that_fails_leaves_a_rollout_that_can_go_on() {
     }
 }
 
-/// Denoiser with its own encoder: its latents are one channel of 2 x 2, the mean gray of quarters of 16 x 24
-/// images.
+/// Denoiser with its own encoder: its latents are one channel of 2 x 2: the mean gray in each quarter of a 16
+/// x 24 image.
 const WITH_CODEC: &str = "\
 def serve(source, out):
     told = denoiser.read(source)[0]

@@ -1,4 +1,4 @@
-//! Hashes of a skeleton, of maps and of a rollout, recorded once: a change of structure must not change them.
+//! Hashes of a skeleton, maps and a rollout, recorded once: a change of structure must not change them.
 //!
 //! `ci/golden.py` does the same for recordings and the synthetic town, to compare two versions of the
 //! program.

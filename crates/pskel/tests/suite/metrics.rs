@@ -108,8 +108,8 @@ fn vehicle_masks_are_those_of_opencv() {
     }
 }
 
-/// Vehicles of a town: the projection hardly changes their dense masks, and restores most of masks of sparse
-/// points.
+/// Vehicles of a town: the projection hardly changes their dense masks, and restores most of the masks from
+/// sparse points.
 #[test]
 fn vehicle_masks_are_those_of_the_town() {
     let [mut dense, mut sparse, mut points] = [Overlap::default(); 3];

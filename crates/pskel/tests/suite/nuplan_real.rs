@@ -15,7 +15,7 @@ use serde_json::Value;
 use crate::common::{WithLog, shared, skeleton_of};
 
 const NAME: &str = "2020.01.01.00.00.00_veh-02_00000_00079";
-/// Global coordinates here minus those of the nuScenes layout, meters.
+/// Global coordinates here minus the nuScenes layout's, meters.
 const OFFSET: DVec3 = DVec3::new(663_830.25, 3_996_050.75, 606.5);
 /// Channel names of the same cameras in both layouts.
 const CAMERAS: [(&str, &str); 6] = [
@@ -90,7 +90,7 @@ fn the_drive_is_read_as_its_readme_says() {
     assert_eq!(points, Some(1_001_556));
 }
 
-/// Poses, boxes, calibration and images equal those of the other layout, up to the offset.
+/// Poses, boxes, calibration and images equal the other layout's, up to the offset.
 #[test]
 fn both_layouts_show_the_same_world() {
     let Some(folder) = folder() else { return };
@@ -241,7 +241,7 @@ fn the_map_is_that_of_the_other_layout() {
     assert_eq!((map.crossings.len(), map.stop_lines.len(), map.dividers.len()), (2, 1, 22));
     assert_eq!(map.walkways.len(), 8);
     assert!(map.lanes.iter().chain(&map.lane_connectors).all(|lane| lane.centerline.len() > 1));
-    // Lanes, stop lines and crossings consist of the nodes of the other map.
+    // Lanes, stop lines and crossings consist of the other map's nodes.
     let file = folder.join("nuscenes/maps/expansion/pandaset-002.json");
     let json: Value = serde_json::from_slice(&std::fs::read(file).unwrap()).unwrap();
     let node = |n: &Value| [n["x"].as_f64().unwrap(), n["y"].as_f64().unwrap()];
@@ -277,8 +277,8 @@ fn is_in_area(point: DVec2, exterior: &[DVec2], holes: &[Vec<DVec2>]) -> bool {
     is_in_ring(point, exterior) && !holes.iter().any(|hole| is_in_ring(point, hole))
 }
 
-/// The drivable area of the other layout is one polygon; here it consists of four layers, one of which is the
-/// whole junction.
+/// The drivable area of the other layout is one polygon; here it consists of four layers, and one layer is
+/// the whole junction.
 #[test]
 fn the_drivable_area_covers_that_of_the_other_layout() {
     let Some(folder) = folder() else { return };

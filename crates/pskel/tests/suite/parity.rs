@@ -1,12 +1,12 @@
-//! Compares maps with those of another implementation by the share of pixels that differ.
+//! Compares maps with another implementation's by the share of pixels that differ.
 
-/// Layout of maps of several views, `[view, height, width, channel]`.
+/// Layout of several views' maps, `[view, height, width, channel]`.
 #[derive(Clone, Copy)]
 pub(crate) struct Layout {
     pub(crate) height: usize,
     pub(crate) width: usize,
     pub(crate) channels: usize,
-    /// Width of the border of every view that is not compared, pixels.
+    /// Width of the border that is not compared in any view, pixels.
     pub(crate) border: usize,
 }
 

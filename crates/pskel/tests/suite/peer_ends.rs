@@ -12,7 +12,7 @@ use crate::sim::made;
 use crate::simulate::{SIMULATE, built};
 use crate::tiny_log::with_default_signals;
 
-/// Maximum time by which processes may outlive the program.
+/// Maximum time that processes may outlive the program.
 const MAX_TIME: Duration = Duration::from_secs(2);
 
 /// Returns a command that neither reads nor answers nor ends, with a child and a grandchild; all ignore
@@ -113,7 +113,7 @@ fn nothing_is_left_of_a_planner_that_was_let_go() {
             std::thread::sleep(Duration::from_millis(10));
         }
     }
-    // The guard's process id is that of its group. A zombie would still have an entry.
+    // The guard's process id is also its group's. A zombie would still have an entry.
     let guard = std::fs::read_to_string(folder.path().join("group")).unwrap();
     assert!(!Path::new("/proc").join(guard.trim()).exists(), "guard {guard}");
 }

@@ -68,7 +68,7 @@ fn scenes_are_generated_scored_and_copied_into_one_data_set() {
     let rollouts = results["parts"][0]["images"]["rollouts"].as_array().unwrap();
     let folders: Vec<&Value> = rollouts.iter().map(|rollout| &rollout["folder"]).collect();
     assert_eq!(folders, ["2hz/tiny", "2hz/tiny-b"]);
-    // The table's means are those of `evaluate`.
+    // The table's means equal `evaluate`'s.
     assert!(log.run("evaluate out/2hz/tiny out/2hz/tiny-b --out scores.json").status.success());
     assert_eq!(results["parts"][0]["images"]["mean"], log.json("scores.json")["mean"]);
     // One copy has the images of both scenes.

@@ -35,7 +35,7 @@ fn global(of: Option<Vector3>) -> DVec3 {
     vector(of) + START
 }
 
-/// Compares the file of a rollout of the tiny log with the rollout's folder; returns the file. `maps` are PNG
+/// Compares the file of a tiny log's rollout with the rollout's folder; returns the file. `maps` are PNG
 /// maps.
 fn check(log: &TinyLog, name: &str, folder: &str, maps: &[&str]) -> McapFile {
     let (read, rows) = (McapFile::of(log, name), rows(log, folder));

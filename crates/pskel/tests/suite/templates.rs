@@ -40,7 +40,7 @@ fn asset(track: &str, category: &str, size: [f64; 3], points: Vec<Point>) -> (As
     (Asset { log, track, category, class, size, sweeps: 1, points: count, bounds, xxh3 }, points)
 }
 
-/// Writes a skeleton of a log of that name with some actors.
+/// Writes a skeleton for a log with that name and some actors.
 fn write_skeleton(path: &Path, log: &str, actors: Vec<(Asset, Vec<Point>)>) {
     let points = vec![Point::new([0.0; 3], [1; 3], 0)];
     let (bounds, xxh3) = (Bounds::of(&points).unwrap(), Checksum::of(&points));

@@ -334,7 +334,7 @@ fn sweeps_between_frames_are_split_by_boxes_in_between() {
     }
 }
 
-/// Counts the points of all sweeps per actor, with boxes at the sweeps' times or at those of their frames.
+/// Counts the points of all sweeps per actor, with boxes at the times of sweeps or of their frames.
 fn points_in_boxes(
     drive: &WithLog<'_>,
     between_sweeps: bool,

@@ -193,8 +193,8 @@ fn srgb(linear: f64) -> u8 {
 
 #[test]
 fn edges_are_blended_in_linear_light() {
-    // A white sheet at 10 m whose corner lies at pixel (20.3, 11.7). Of the samples of pixel 20 at 20, 20.5
-    // and 21, with weights 1, 2 and 1, two are white; of those of row 11 one is white.
+    // A white sheet at 10 m whose corner lies at pixel (20.3, 11.7). Two of pixel 20's samples at 20, 20.5
+    // and 21, with weights 1, 2 and 1, are white; one sample in row 11 is white.
     let focal = 50.0;
     let view = view([30, 40], focal, DVec3::ZERO, [0.0; 3]);
     let [k, c] = [view.camera.intrinsics.x_axis.x, view.camera.intrinsics.z_axis.x];
@@ -272,7 +272,7 @@ fn the_sun_throws_shadows_where_something_is_in_its_way() {
                 let mean = |values: &[u32]| f64::from(values.iter().sum::<u32>()) / values.len() as f64;
                 lit.sort_unstable();
                 dark.sort_unstable();
-                // At dusk the low sun adds little to the light of the sky, part of which the posts block too.
+                // At dusk the low sun adds little to the sky light, which the posts block in part too.
                 let (aside, share) = if daylight == Daylight::Dusk { (20, 0.9) } else { (usize::MAX, 0.85) };
                 let (least, most) = (lit[lit.len() / aside], dark[dark.len() - 1 - dark.len() / aside]);
                 assert!(most < least, "{daylight:?} {seed}: {most} in the shadow, {least} in the sun");

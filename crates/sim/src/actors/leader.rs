@@ -87,8 +87,7 @@ mod tests {
         Polyline::new(points.map(DVec2::from)).unwrap()
     }
 
-    /// Returns the leader of a car of 4 m by 2 m centered at x = -30 m, among the ego at the origin and
-    /// others.
+    /// Returns the leader of a 4 m by 2 m car centered at x = -30 m, among the ego at the origin and others.
     fn leader(others: &[SimActor]) -> Option<Leader> {
         let me = actor(9, -30.0, 0.0, 0.0, 8.0);
         let all: Vec<SimActor> = others.iter().copied().chain([me]).collect();

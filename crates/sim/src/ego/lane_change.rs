@@ -24,7 +24,7 @@ const OFFSET_M: f64 = -3.5;
 const CHANGE_S: f64 = 4.0;
 /// Minimum length of a change: shorter ones would exceed comfortable turning at the speed reached by then.
 const MIN_CHANGE_M: f64 = 32.0;
-/// Spacing of the points of the ego's path, meters.
+/// Point spacing of the ego's path, meters.
 const STEP_M: f64 = 0.25;
 /// Maximum angle between the recorded path and the ego's heading; beyond it (the log drives backward) the
 /// path is not followed.

@@ -13,7 +13,7 @@ const CELLS: [usize; 2] = [10, 4];
 pub(crate) struct Road {
     drivable: Areas,
     lanes: Areas,
-    /// Indices of the successors of each lane.
+    /// Successor indices of each lane.
     successors: Vec<Vec<usize>>,
 }
 

@@ -106,8 +106,8 @@ impl RouteWindow<'_> {
         Foot { station_m: forward.dot(arm), offset_m: forward.perp_dot(arm) }
     }
 
-    /// Returns a pose at a position (global, meters) with a yaw (radians). Height and tilt are those of the
-    /// recorded ego at the nearest position of the route.
+    /// Returns a pose at a position (global, meters) with a yaw (radians). Height and tilt come from the
+    /// recorded ego at the nearest position on the route.
     pub(crate) fn pose_at(&self, place: DVec2, yaw_rad: f64) -> Pose {
         let ground = self.route.ground(self.foot(place).station_m);
         let mut pose = ground.with_yaw(yaw_rad);

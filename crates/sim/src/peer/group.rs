@@ -14,7 +14,7 @@ use std::time::{Duration, Instant};
 use point_skeleton::threads::process_error;
 use rustix::process::{Pid, Signal, WaitId, WaitIdOptions, kill_process_group, waitid};
 
-/// Grace period in which a process may exit by itself after its input is closed.
+/// Grace period for a process to exit by itself after its input is closed.
 const GRACE: Duration = Duration::from_millis(500);
 /// Script of the guard. It ignores signals with which the command ends or stops its own group.
 const GUARD: &str = "trap '' HUP INT QUIT TERM TSTP TTIN TTOU; read -r _; kill -KILL 0";

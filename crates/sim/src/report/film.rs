@@ -24,8 +24,8 @@ const CAPTION: u32 = 28;
 /// Maximum side of the bird's-eye view, and maximum width of the first map, pixels.
 const LARGEST: [u32; 2] = [720, 1160];
 
-/// Composes the frame of a step's folder. `maps` are names of maps, of which the first three are shown;
-/// `caption` is at the top.
+/// Composes the frame of a step's folder. `maps` are names of maps, the first three of them shown; `caption`
+/// is at the top.
 ///
 /// # Errors
 /// Returns an error if an image is missing or damaged.

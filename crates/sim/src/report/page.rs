@@ -39,7 +39,7 @@ pub struct Page {
     pub steps: Vec<PageStep>,
     /// Events of the rollout.
     pub events: Vec<PageEvent>,
-    /// Names and values of the table of metrics.
+    /// Names and values in the metrics table.
     pub metrics: Vec<[String; 2]>,
     /// Names of the files to link to.
     pub files: Vec<String>,

@@ -32,7 +32,7 @@ pub struct StepRow {
     pub lights: Vec<LightRow>,
     /// Direction of the recorded path within 20 m: `left`, `straight`, `right` or `unknown`.
     pub driving_command: String,
-    /// Plan computed for this step, if any; its first waypoint is the ego state from which it was planned.
+    /// Plan computed for this step, if any; its first waypoint is the ego state that it was planned from.
     pub plan: Option<Vec<Waypoint>>,
 }
 
@@ -120,7 +120,7 @@ pub struct StepObservations {
 }
 
 impl StepRow {
-    /// Creates the row of a step of a log's rollout.
+    /// Creates the row for a step of a log's rollout.
     pub fn new(
         log: &Recording,
         instant: &Instant,

@@ -75,7 +75,7 @@ struct Sample {
 }
 
 impl Video {
-    /// Starts a video of frames of one size, `rate_hz` per second, that will be written to `path`.
+    /// Starts a video with frames of one size, `rate_hz` per second, that will be written to `path`.
     ///
     /// # Errors
     /// Returns an error if a side is odd, below 16 or above [`MAX_SIDE_PX`], or if the encoder cannot be

@@ -30,8 +30,7 @@ pub trait ImageGenerator {
     /// Continues after `frames` planning steps. `last` are the last of these steps: as many as the window has
     /// frames, or all if there are fewer. `saved` is the state saved with the last step.
     ///
-    /// # Errors
-    /// Returns an error if the saved state is missing, damaged or of another step, and those of
+    /// # Errors Returns an error if the saved state is missing, damaged or of another step, and any error of
     /// [`ImageGenerator::generate`].
     fn resume(
         &mut self,
@@ -48,7 +47,7 @@ pub trait ImageGenerator {
     fn has_truth(&self) -> bool;
 }
 
-/// Durations of the parts of a generated frame, seconds.
+/// Durations within a generated frame, seconds.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct GenerationTimes {
     /// Rendering the committed state as network input.

@@ -221,7 +221,7 @@ impl<'a> Rollout<'a> {
     }
 }
 
-/// Returns views of the sizes of the log's cameras.
+/// Returns views with the sizes of the log's cameras.
 fn recorded_views(log: &Recording) -> Vec<View> {
     let cameras = log.rig.iter().map(|rig| rig.camera.clone());
     cameras.map(|camera| View { camera, camera_from_world: DAffine3::IDENTITY }).collect()

@@ -91,7 +91,7 @@ pub(super) struct RolloutRecord {
     pub(super) takeover_step: usize,
     /// Name of the HD map, if the log has files of one.
     pub(super) map_name: Option<String>,
-    /// Ids of the roadblocks of the route at the first plan.
+    /// Ids of the route's roadblocks at the first plan.
     pub(super) roadblocks: Vec<String>,
     #[serde(flatten)]
     pub(super) extra: Map<String, Value>,

@@ -12,7 +12,7 @@ use crate::{EndReason, Metrics};
 /// Result of a rollout.
 #[derive(Debug)]
 pub struct RolloutReport {
-    /// All steps, with those of an earlier run.
+    /// All steps, including an earlier run's.
     pub rows: Vec<StepRow>,
     /// Metrics of these steps.
     pub metrics: Metrics,

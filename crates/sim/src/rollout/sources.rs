@@ -19,7 +19,7 @@ use crate::Scenario;
 pub(super) struct Sources {
     /// Number of frames and their time range, and the fingerprint of the recording.
     frames: String,
-    /// Number of points of the skeleton, and a hash of its manifest.
+    /// Point count of the skeleton, and a hash of its manifest.
     skeleton: String,
     /// Fingerprint of the HD map; `None` if there is none or if it cannot be read.
     map: Option<String>,

@@ -74,7 +74,7 @@ struct Writer {
 
 impl Steps<'_> {
     /// Simulates and renders step by step, while another thread writes. `kept` has the steps of an earlier
-    /// run, the last of which is the current state of the simulation. Without `states` nothing is written.
+    /// run; the last one is the current state of the simulation. Without `states` nothing is written.
     ///
     /// Fails if a step cannot be written; other failures are in [`RolloutReport::failure`].
     pub(super) fn run(

@@ -17,7 +17,7 @@ pub(super) enum Use {
     Church,
 }
 
-/// Surroundings of a side of a house.
+/// Surroundings of a house's side.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Side {
     /// The side faces a street.
@@ -57,7 +57,7 @@ pub(super) struct Frontage {
 }
 
 impl Lot {
-    /// Returns the corners of a part of the lot, counter-clockwise.
+    /// Returns the corners of a lot's part, counter-clockwise.
     pub(super) fn area(&self, min: DVec2, max: DVec2) -> [DVec2; 4] {
         corners(min, max).map(|p| self.place.point(p))
     }
@@ -212,7 +212,7 @@ impl BuildingRequest {
     }
 }
 
-/// Returns the surroundings of each side of a house.
+/// Returns the surroundings of each house side.
 fn sides(lot: &Lot, room: &Room) -> [Side; 4] {
     let (w, d) = (lot.size_m.x, lot.size_m.y);
     let beyond = |low: f64, high: f64| {

@@ -15,7 +15,7 @@ pub(super) struct Mount {
     at: [f64; 3],
     /// Focal length in image widths.
     focal: f64,
-    /// Time by which it fires before the LiDAR's time stamp, microseconds: when a LiDAR at 20 Hz scans its
+    /// Time that it fires before the LiDAR's time stamp, microseconds: when a LiDAR at 20 Hz scans its
     /// direction.
     pub(super) before_us: i64,
 }

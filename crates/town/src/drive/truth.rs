@@ -28,8 +28,8 @@ impl Town {
         self.film(t_us, &self.figures(t_us, &tracks), views)
     }
 
-    /// Renders the cameras of a frame, each at its own time and pose, in their order. Instance numbers are
-    /// those of the frame's boxes. Empty if there is no such frame.
+    /// Renders the cameras of a frame, each at its own time and pose, in their order. Instance numbers refer
+    /// to the frame's boxes. Empty if there is no such frame.
     ///
     /// # Errors
     /// Returns an error if the device fails.

@@ -12,7 +12,7 @@ use super::truth::reserve_meshes;
 use super::{Town, TownError};
 use crate::view::GroundTruthView;
 
-/// Name of the folder of tables.
+/// Name of the table folder.
 const VERSION: &str = "v1.0-town";
 /// File of the options.
 const OPTIONS: &str = "town.json";

@@ -9,7 +9,7 @@ use super::dice::Dice;
 use super::figure::{Figure, joint};
 use crate::mesh::{Ring, Skin, Surface};
 
-/// Number of poses of a pedal revolution.
+/// Pose count of a pedal revolution.
 pub(super) const POSES: usize = 12;
 /// Distance that the bicycle moves in a pedal revolution, meters.
 pub(super) const CYCLE_M: f64 = 4.2;

@@ -12,7 +12,7 @@ pub(super) struct Tube {
     pub(super) skin: Skin,
 }
 
-/// Figure of closed tubes, and of rings of revolution that are open in the middle (wheels).
+/// Figure made of closed tubes, and of rings that are open in the middle (wheels).
 #[derive(Clone, Debug, Default)]
 pub(super) struct Figure {
     pub(super) tubes: Vec<Tube>,

@@ -10,7 +10,7 @@ use glam::DVec3;
 use super::curve::Curve;
 use crate::mesh::{Mesh, Skin};
 
-/// Number of points of a section.
+/// Point count of a section.
 pub(super) const ROWS: usize = 12;
 
 /// Rows of a section (see the module).
@@ -48,7 +48,7 @@ pub(super) struct End {
     pub(super) x: f64,
     /// Bulge of its middle, meters.
     pub(super) bow: f64,
-    /// Share of the width by which it narrows over `taper_m`.
+    /// Share of the width that it narrows over `taper_m`.
     pub(super) taper: f64,
     pub(super) taper_m: f64,
     /// Rise of the underside at the end, meters.

@@ -9,7 +9,7 @@ use super::dice::Dice;
 use super::figure::Figure;
 use crate::mesh::{Skin, Surface};
 
-/// Number of poses of a walking cycle.
+/// Pose count of a walking cycle.
 pub(super) const POSES: usize = 12;
 
 /// Clothing below the waist.
@@ -221,7 +221,7 @@ impl Walker {
     }
 
     fn head(&self, figure: &mut Figure) {
-        // Children's heads are nearly as large as those of adults.
+        // Children's heads are nearly as large as adults'.
         let h = self.height;
         let size = 0.062 * (0.55 * h + 0.45 * 1.74);
         let top = 1.0 * h - 0.004 * h;

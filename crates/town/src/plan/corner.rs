@@ -55,7 +55,7 @@ pub(super) fn distances_m(mouths: &[Mouth], radius_m: f64) -> Vec<f64> {
     distances_m
 }
 
-/// Returns the outline, counter-clockwise, and the kind of each of its edges. Requires sorted mouths.
+/// Returns the outline, counter-clockwise, and the kind of each edge. Requires sorted mouths.
 pub(super) fn outline(
     centre: DVec2,
     mouths: &[Mouth],

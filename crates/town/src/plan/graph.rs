@@ -20,7 +20,7 @@ pub(super) struct Graph {
 pub(super) struct Link {
     /// Indices of its nodes.
     pub(super) nodes: [usize; 2],
-    /// Unit directions in which it leaves its nodes.
+    /// Unit directions at which it leaves its nodes.
     pub(super) directions: [DVec2; 2],
     /// Its cross section.
     pub(super) section: Section,
@@ -329,7 +329,7 @@ impl Grid {
         self.outs.iter().any(|(n, s, ..)| (*n, *s) == (node, side)).then_some(aside)
     }
 
-    /// Returns the direction in which a street leaves a node. Streets on opposite sides leave in opposite
+    /// Returns the direction of a street where it leaves a node. Streets on opposite sides leave in opposite
     /// directions, except one that crosses a block.
     fn direction(&self, node: usize, side: usize) -> DVec2 {
         let here = self.nodes[node];

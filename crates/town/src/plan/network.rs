@@ -44,7 +44,7 @@ pub struct Junction {
     pub centre: DVec2,
     /// Outline, counter-clockwise; edge `i` runs from corner `i` to the next. Star-shaped about the middle.
     pub outline: Vec<DVec2>,
-    /// Kind of each edge of the outline.
+    /// Kind of each outline edge.
     pub edges: Vec<JunctionEdge>,
     /// Right-of-way rule.
     pub kind: JunctionKind,
@@ -52,7 +52,7 @@ pub struct Junction {
     pub sidewalk_m: f64,
 }
 
-/// Kind of an edge of a junction.
+/// Kind of a junction's edge.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum JunctionEdge {
     /// Kerb with a sidewalk behind it.
@@ -206,7 +206,7 @@ impl TownLane {
 }
 
 impl Junction {
-    /// Returns its kerbs. Each runs counter-clockwise from the mouth of a road to that of the next, with the
+    /// Returns its kerbs. Each runs counter-clockwise from the mouth of a road to the next mouth, with the
     /// junction on the left and the sidewalk on the right.
     pub fn kerbs(&self) -> Vec<Vec<DVec2>> {
         let n = self.outline.len();

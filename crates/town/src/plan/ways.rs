@@ -7,7 +7,7 @@ use super::{LaneKind, Network, TownLane};
 
 /// Paths that turn by less than this count as straight.
 const STRAIGHT_RAD: f64 = 0.62;
-/// Spacing of the points of a path through a junction, meters; fine because its curves are tight.
+/// Point spacing of a path through a junction, meters; fine because its curves are tight.
 const STEP_M: f64 = 0.4;
 
 /// Turn of a path through a junction.

@@ -11,7 +11,7 @@ use point_skeleton::raster::tiles::Tile;
 /// Near plane, meters of camera z.
 pub(super) const NEAR_M: f64 = 0.1;
 
-/// Camera of a tile of a view.
+/// Camera for a tile of a view.
 #[derive(Clone, Debug)]
 pub(super) struct Lens {
     /// Camera from town, meters.

@@ -31,7 +31,7 @@ pub struct Light {
 }
 
 impl Light {
-    /// Creates the light of a time of day; the seed selects the sun's position and the clouds.
+    /// Creates the light for a time of day; the seed selects the sun's position and the clouds.
     pub fn new(daylight: Daylight, seed: u64) -> Self {
         let pick = |number: i64, low: f64, high: f64| between(seed ^ 0x5ca1_ab1e, &[number], low, high);
         let azimuth = pick(0, 0.0, std::f64::consts::TAU);

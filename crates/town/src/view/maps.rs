@@ -150,7 +150,7 @@ impl Maps {
         Ok(Self { pipeline, images, targets })
     }
 
-    /// Renders all shadow casters into the maps; into those of the sun only if it shines.
+    /// Renders all shadow casters into the maps; into the sun's only if it shines.
     pub(super) fn record<'a>(
         &'a self,
         recorder: &mut Recorder<'a>,

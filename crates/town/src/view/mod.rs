@@ -6,7 +6,7 @@
 //!    visibility (`maps`).
 //! 2. A view is a grid of samples at half-pixel steps (`lens`). A first pass determines the surface of each
 //!    sample (`surfaces`), later passes shade it once, and a last one resolves samples to pixels (`shade`).
-//! 3. A pixel's depth, class and instance are those of the sample at its centre. The device reports the
+//! 3. A pixel's depth, class and instance belong to the sample at its centre. The device reports the
 //!    triangle (`corners`), the host computes its depth in `f64` (`truth`).
 //!
 //! The appearance of a surface follows from its kind, its color and a seed (`glsl/*.frag`); there are no

@@ -144,7 +144,7 @@ pub(super) struct Samples {
     resolve: (Target, DescriptorSet),
     shown: Arc<Image>,
     pixel: Arc<Image>,
-    /// Readback of each pixel of the tile: provoking vertex, and draw index plus 1.
+    /// Readback for each pixel of the tile: provoking vertex, and draw index plus 1.
     pub(super) shown_back: Buffer,
     /// Readback of each pixel's color.
     pub(super) pixel_back: Buffer,
@@ -171,7 +171,7 @@ impl ShadePass {
         Ok(Self { block, light, light_pass, kinds, color_pass, resolve, resolve_pass })
     }
 
-    /// Returns the maximum number of pixels of a tile.
+    /// Returns the maximum pixel count of a tile.
     pub(super) fn max_area(device: &Device) -> u32 {
         const MOST: u64 = 3 << 19;
         // A pixel has four samples; the largest image takes 16 of a sample's bytes.

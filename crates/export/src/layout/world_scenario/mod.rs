@@ -3,7 +3,7 @@
 //! egomotion_estimate, and, with an HD map, lane_line, road_boundary, crosswalk and wait_line.
 //!
 //! The origin of coordinates is the ego's pose at the first frame of the clip that is near most others.
-//! Schemas are those of NVIDIA's page *World Scenario Parquet File Structure*.
+//! Schemas follow NVIDIA's page *World Scenario Parquet File Structure*.
 
 mod parquet;
 mod rig;

@@ -9,7 +9,7 @@ use parquet::file::properties::WriterProperties;
 use parquet::file::writer::{SerializedColumnWriter, SerializedFileWriter};
 use parquet::schema::parser::parse_message_type;
 
-/// Values of a leaf of the schema, in rows.
+/// Values of a schema leaf, in rows.
 pub(super) enum Column {
     Bool(Vec<bool>),
     Int(Vec<i64>),

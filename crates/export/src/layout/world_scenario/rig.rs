@@ -43,8 +43,8 @@ fn farthest_px(camera: &Camera) -> f64 {
 }
 
 /// Returns `k` with `k[0] + k[1] r + .. = atan(r / f)` for pixel distances up to `far_px`: `atan(r / f) / r`,
-/// interpolated in nodes that are denser far from the center than those of Chebyshev, since an error of the
-/// angle is `1 + (r / f)²` times as large in pixels.
+/// interpolated in nodes that are denser far from the center than Chebyshev's, since an error of the angle is
+/// `1 + (r / f)²` times as large in pixels.
 pub(super) fn polynomial(focal_px: f64, far_px: f64) -> [f64; COEFFICIENTS] {
     const NODES: usize = COEFFICIENTS - 1;
     /// By trial: errors of the cameras in the test are 0.02, 0.05 and 0.68 px; the best polynomials have

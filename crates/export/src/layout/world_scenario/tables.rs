@@ -1,4 +1,4 @@
-//! Rows of the tables of a clip.
+//! Table rows of a clip.
 
 use std::ops::Range;
 
@@ -38,7 +38,7 @@ impl<'a> Clip<'a> {
         Self { log, frames, name: name.to_owned(), clip_from_global: origin.inverse() }
     }
 
-    /// Returns the tables; those of the map only if they have rows.
+    /// Returns the tables; the map's only if they have rows.
     pub(super) fn tables(&self, map: Option<&VectorMap>) -> Vec<Table> {
         let mut tables = vec![self.obstacles(), self.calibration(), self.egomotion()];
         if let Some(map) = map {

@@ -8,7 +8,7 @@ use point_skeleton::files::text::printable_line;
 use point_skeleton::scene::frame_rate_hz;
 use serde_json::{Value, json};
 
-/// Maximum number of items of a list in the text.
+/// Maximum length of a list in the text, items.
 const SHOWN: usize = 20;
 
 /// Describes a log as JSON.

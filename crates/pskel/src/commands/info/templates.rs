@@ -1,4 +1,4 @@
-//! Description of a folder of templates as text and as JSON.
+//! Description of a template folder as text and as JSON.
 
 use std::fmt::Write;
 use std::path::Path;

@@ -107,7 +107,7 @@ pub(crate) struct SimulateArgs {
     /// protocol`.
     #[arg(skip)]
     least_warmup: bool,
-    /// Whether generated images replace those of a data set; used by `pskel generate`.
+    /// Whether generated images replace the data set's; used by `pskel generate`.
     #[arg(skip)]
     copies_dataset: bool,
     /// Keeps the tables of a data set between its logs; used by `pskel protocol`.
@@ -145,7 +145,7 @@ pub(crate) struct ClipArgs {
     pub(crate) resume: bool,
     pub(crate) resume_from: Option<usize>,
     pub(crate) profile: Option<PathBuf>,
-    /// Whether generated images replace those of a data set.
+    /// Whether generated images replace the data set's.
     pub(crate) copies_dataset: bool,
     pub(crate) annotations: Option<PathBuf>,
     pub(crate) stand_ins: SubstituteArgs,
@@ -260,7 +260,7 @@ impl SimulateArgs {
     /// Reads the inputs.
     pub(super) fn inputs(&self) -> anyhow::Result<Inputs> {
         let mut source = self.roots.open_by(&self.log, &self.opener)?;
-        // The skeleton is of the recording, in which the ego has not moved.
+        // The skeleton belongs to the recording, where the ego has not moved.
         let unmoved = self.ego_offset.map(|_| source.recording().clone());
         if let Some(offset) = self.ego_offset {
             let moved = MovedEgo::new(source.into_reader(), offset).with_context(|| {
@@ -339,8 +339,7 @@ impl SimulateArgs {
         self.frames.is_some()
     }
 
-    /// Returns the number of frames of the warm-up: at least as many as a generator with this `window` has
-    /// references.
+    /// Returns the warm-up's frame count: at least as many as a generator with this `window` has references.
     pub(super) fn warmup_frames(&self, window: Option<usize>) -> Result<usize, WrongUsage> {
         let (given, least) = (self.policies.warmup, window.map_or(0, |window| window - 1));
         if let Some(warmup) = given.filter(|warmup| *warmup < least) {

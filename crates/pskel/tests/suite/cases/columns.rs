@@ -72,7 +72,7 @@ fn ring_numbers_of_one_lidar_do_not_drop_moving_actors() {
     assert!(stdout.contains("sweeps with few ring numbers, read as beams (--ring-is device"), "{stdout}");
     let (stdout, _) = case.succeed("info nuscenes:in/a");
     assert!(!stdout.contains("ring"), "{stdout}");
-    // Other numbers that are not those of merged LiDARs.
+    // Other numbers, which merged LiDARs do not have.
     let files = sweeps(&case, "b");
     for ring in [
         &(|_: usize| 0.0_f32) as &dyn Fn(usize) -> f32,
@@ -100,7 +100,7 @@ fn ring_numbers_of_one_lidar_do_not_drop_moving_actors() {
 #[test]
 fn options_and_directions_name_merged_lidars() {
     let Some(case) = Case::new("data/01-ring-is-constant") else { return };
-    // The recording has two LiDARs, the second of which looks forward.
+    // The recording has two LiDARs; the second looks forward.
     let Some(data) = shared("the recording") else { return };
     let folder = data.join("data/pandaset-002/nuscenes/samples/LIDAR_TOP");
     for path in std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path()).take(5) {
@@ -303,7 +303,7 @@ fn read(made: &Made) -> Result<Sweep, String> {
     dataset.read_sweep(&dataset.recording().frames[0].sweeps[0]).map_err(|error| error.to_string())
 }
 
-/// Writes a PCD file with a device column in place of a sweep of nuPlan, of points around the LiDAR.
+/// Writes a PCD file with a device column in place of a nuPlan sweep, with points around the LiDAR.
 fn write_devices(path: &Path, device: impl Fn(usize) -> u8) {
     let n = 32 * 400;
     let header = format!(

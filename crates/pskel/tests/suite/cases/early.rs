@@ -95,7 +95,7 @@ fn copies_and_rollouts_are_not_in_each_other() {
     symlink("real", log.path("link")).unwrap();
     let output = log.run(&format!("{GENERATE} --out real/rollout --dataset link/rollout"));
     assert_early(&log, &output, &["found the same: link/rollout"]);
-    // A refusal of the options of the rollout leaves nothing of the copy.
+    // A refusal of the rollout's options leaves nothing of the copy.
     let output = log.run(&format!("{GENERATE} --out rollout --dataset copy --steps 0"));
     assert!(!output.status.success() && !log.path("copy.partial").exists());
 }

@@ -139,7 +139,7 @@ fn a_lock_that_fails_leaves_nothing() {
     }
 }
 
-/// Folders that stem from a lower layer of an overlay, as those of a container's image, cannot be renamed.
+/// Folders from a lower overlay layer, as in a container's image, cannot be renamed.
 #[test]
 fn folders_of_an_image_layer_are_replaced() {
     for (first, second) in [

@@ -135,8 +135,7 @@ fn missing_files_are_skipped_and_counted_in_argoverse() {
     assert_policy(&root, &format!("av2:{}", root.display()), "missing camera images", "ring_front_center", 0);
 }
 
-/// The names of sweeps are known from the annotated times, and those of the folders of cameras from the
-/// calibration.
+/// Sweep names are known from the annotated times, and camera folders from the calibration.
 #[test]
 fn missing_sweeps_and_folders_of_argoverse_are_missing_files() {
     let log = TinyAv2::new();

@@ -44,7 +44,7 @@ impl Case {
         Some(Self { folder })
     }
 
-    /// Returns the folder in which commands run; the inputs are in `in`, and `out` is free.
+    /// Returns the working folder of commands; the inputs are in `in`, and `out` is free.
     pub(crate) fn path(&self) -> &Path {
         self.folder.path()
     }

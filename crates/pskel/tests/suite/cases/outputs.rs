@@ -257,7 +257,7 @@ fn arrays_of_others_are_kept() {
     assert_refused(&log, "convert p.npy --out features.npy", "found another file: features.npy");
     let splat = "splat --points p.npy --cameras c.json --rasterizer cpu";
     assert_refused(&log, &format!("{splat} --out mine.npz"), "found another file: mine.npz");
-    // Those of this program are replaced.
+    // This program's files are replaced.
     for args in ["convert p.npy --out q.npy".to_owned(), format!("{splat} --out q.npz")] {
         log.succeed(&args);
         log.succeed(&args);

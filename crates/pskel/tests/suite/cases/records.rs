@@ -11,7 +11,7 @@ use crate::tiny_log::{FRAMES, TinyLog};
 const DATA: &str = "sweeps and images that refer to a missing record";
 const BOXES: &str = "boxes that refer to a missing record";
 
-/// Edits the records of a table of a tiny log.
+/// Edits the records of a tiny log's table.
 fn edit(log: &TinyLog, table: &str, edit: impl FnOnce(&mut Vec<Value>)) {
     let name = format!("log/v1.0-mini/{table}.json");
     let mut records = log.json(&name);

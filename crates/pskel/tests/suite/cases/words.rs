@@ -116,7 +116,7 @@ fn counts_that_are_only_reported_decide_nothing() {
         let log = recording(&log.path("log"));
         assert_eq!(note(&log, "boxes with an unknown number of LiDAR points"), known, "{value}");
     }
-    // Sizes of LiDAR records are not read, those of images are.
+    // Sizes of LiDAR records are not read, sizes of images are.
     let log = TinyLog::new();
     let data = log.json("log/v1.0-mini/sample_data.json");
     let is_image = |r: &Value| r["filename"].as_str().unwrap().ends_with(".png");

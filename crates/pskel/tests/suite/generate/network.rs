@@ -141,8 +141,8 @@ fn latents_of_the_drives_have_unit_variance() {
     assert!(error.contains("conditions of 2 cameras, found 3"), "{error}");
 }
 
-/// The prior is the error of the filled color: nothing if points show the whole image, that of gray if there
-/// are none.
+/// The prior is the error of the filled color: nothing if points show the whole image, the entropy of gray if
+/// there are none.
 #[test]
 fn priors_are_the_error_of_the_filled_color() {
     let full = |mut drive: TrainingClip| {

@@ -28,7 +28,7 @@ impl Denoiser for Recorder {
     }
 }
 
-/// Returns the flags of the calls of the first and the second generated frame.
+/// Returns the call flags of the first and the second generated frame.
 fn told(strategy: Strategy) -> [Vec<String>; 2] {
     let options = options(strategy);
     let clip = TrainingClip::new(&options);

@@ -29,7 +29,7 @@ fn walls(random: &mut Random, count: usize, depths_m: &[f64]) -> Vec<Point> {
             if at.map(|v| v as usize) == hole {
                 continue;
             }
-            // A third of the points of a wall have exactly its depth.
+            // A third of a wall's points have exactly its depth.
             let z = if random.below(3) == 0 { *depth_m } else { depth_m + random.between(0.0, 0.3) };
             let position = [(at[0] - 40.3) / 60.0 * z, (at[1] - 24.7) / 60.0 * z, z];
             points.push(Point::new(position.map(|v| v as f32), color(random), 3));

@@ -24,7 +24,7 @@ pub(crate) fn with_device<T>(test: impl FnOnce(Arc<Device>) -> T) -> T {
     result
 }
 
-/// Work division of all rasterizers of a device, for tests that change it.
+/// Work division of a device's rasterizers, for tests that change it.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Division {
     pub(crate) raster: GraphicsRasterizerDesc,
@@ -44,7 +44,7 @@ fn has_compute(device: &Device) -> bool {
     device.atomics_64()
 }
 
-/// Creates all rasterizers that a device supports, and those of the processor.
+/// Creates all rasterizers that a device supports, and the processor's.
 pub(crate) fn rasterizers<'a>(
     device: &Arc<Device>,
     clouds: &CloudSet<'a>,

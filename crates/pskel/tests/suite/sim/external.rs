@@ -235,12 +235,12 @@ fn planners_see_the_past_once() {
     assert_eq!(again["history"][17], messages[2]["history"][0]);
 }
 
-/// Velocities are those of the made actors, also of one that comes towards the ego on a curve.
+/// Velocities belong to the synthetic actors, also to one that comes towards the ego on a curve.
 #[test]
 fn planners_see_velocities() {
     let log = made::log(6);
     let folder = tempfile::tempdir().unwrap();
-    // At 1.4 s the log surrounds the window of 0.6 s in which lines are fitted.
+    // At 1.4 s the log surrounds the 0.6 s window for fitting lines.
     let start_us = Some(made::FIRST_US + 1_000_000);
     let options = SimOptions { start_us, ..options(recorder(folder.path()), 20.0) };
     let mut sim = Simulation::new(&made::scenario(&log), options).unwrap();
@@ -252,7 +252,7 @@ fn planners_see_velocities() {
     for (track, actor) in (1..).zip(see["actors"].as_array().unwrap()) {
         let number = |key: &str| actor[key].as_f64().unwrap();
         let velocity = DVec2::new(number("vx"), number("vy"));
-        // A central difference of the boxes of the frames before and after.
+        // A central difference between the boxes of the frames before and after.
         let [before, after] = [13, 15].map(|frame: usize| log.frames[frame].cuboid_of(track).unwrap().pose);
         let moved = (after.translation - before.translation).truncate() / 0.2;
         assert!((velocity - moved).length() < 0.02, "{actor}: {velocity}, expected {moved}");

@@ -75,7 +75,7 @@ pub(super) fn yard(mesh: &mut Mesh, wall: &Wall, house: &mut House) {
     }
 }
 
-/// Adds a plain wall, of which only the part above the neighbour is visible.
+/// Adds a plain wall; only the part above the neighbour is visible.
 pub(super) fn blank(mesh: &mut Mesh, wall: &Wall, house: &House) {
     wall.quad(mesh, [0.0, wall.length], [-FOOT_M, house.eaves_m()], 0.0, house.wall);
 }

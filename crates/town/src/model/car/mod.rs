@@ -1,8 +1,7 @@
 //! Cars, pickups and vans.
 //!
-//! # How it works
-//! [`Style`] has the ranges of proportions of a shape, [`Car`] the values drawn from them; `parts` builds the
-//! triangles.
+//! # How it works [`Style`] has the proportion ranges of a shape, [`Car`] the values drawn from them; `parts`
+//! builds the triangles.
 
 mod parts;
 mod style;

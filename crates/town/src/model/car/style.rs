@@ -1,4 +1,4 @@
-//! Ranges of proportions of each car shape.
+//! Proportion ranges of each car shape.
 
 use crate::model::kind::BodyKind;
 

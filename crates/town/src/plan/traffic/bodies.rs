@@ -1,7 +1,7 @@
 use crate::model::{Body, BodyKind};
 use crate::plan::random::Random;
 
-/// Number of variants of each kind in a town.
+/// Variants of each kind in a town.
 const VARIANTS: usize = 5;
 
 /// Bodies that traffic in a town is drawn from: a few variants of each kind.

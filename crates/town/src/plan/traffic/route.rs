@@ -32,7 +32,7 @@ pub(super) struct Route {
 /// Requirements of a route.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct RouteConstraints {
-    /// Offset to the right of the middle of lanes, meters.
+    /// Offset to the right of lane centers, meters.
     pub(super) right_m: f64,
     /// Whether it avoids sharp curves.
     pub(super) long: bool,

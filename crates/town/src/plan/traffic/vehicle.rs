@@ -104,7 +104,7 @@ impl Vehicle {
     }
 }
 
-/// Returns the maximum speed in the next step from which it can halt within a distance.
+/// Returns the maximum speed in the next step that still lets it halt within a distance.
 fn halting_mps(room_m: f64, brake_mps2: f64, dt_s: f64) -> f64 {
     let step = brake_mps2 * dt_s;
     (step * step + 2.0 * brake_mps2 * room_m.max(0.0)).sqrt() - step
