@@ -20,7 +20,8 @@ const BESIDE_POOL: usize = 1;
 /// The system started fewer threads than needed.
 #[derive(Debug, thiserror::Error)]
 #[error(
-    "cannot start {what}: {source}; raise the limit on processes and threads (ulimit -u, pids.max of the container), or \
+    "cannot start {what}: {source}; raise the limit on processes and threads (ulimit -u, pids.max of the \
+        container), or \
      set RAYON_NUM_THREADS=1, and LP_NUM_THREADS=1 for Mesa's lavapipe"
 )]
 pub struct ThreadError {

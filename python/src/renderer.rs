@@ -78,7 +78,8 @@ pub(crate) struct Renderer {
 #[pymethods]
 impl Renderer {
     #[new]
-    #[pyo3(signature = (skeleton, *, size=None, out_size=None, maps=None, splat=None, radius=100.0, min_actor_points=20_000, default_templates=true, rasterizer="auto", device=None, log=None))]
+    #[pyo3(signature = (skeleton, *, size=None, out_size=None, maps=None, splat=None, radius=100.0,
+        min_actor_points=20_000, default_templates=true, rasterizer="auto", device=None, log=None))]
     #[allow(clippy::too_many_arguments)] // keyword arguments of Python
     fn new(
         py: Python<'_>,
@@ -215,7 +216,8 @@ impl Renderer {
             return Ok(());
         }
         Err(RenderError::new_err(format!(
-            "expected the process that opened the device ({}), found its fork {here}: open a Renderer in each process; {FORKS}",
+            "expected the process that opened the device ({}), found its fork {here}: open a Renderer in \
+                each process; {FORKS}",
             self.process
         )))
     }

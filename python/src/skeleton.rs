@@ -53,7 +53,8 @@ impl Skeleton {
             if !is_position(position) {
                 let found = position.to_array();
                 return Err(PyValueError::new_err(format!(
-                    "expected positions within {MAX_COORDINATE_M} m of zero, found {found:?} at point {row} of {name}"
+                    "expected positions within {MAX_COORDINATE_M} m of zero, found {found:?} at point {row} \
+                        of {name}"
                 )));
             }
             Ok(GlobalPoint { position, rgb, class })

@@ -19,7 +19,8 @@ use crate::pool::detached;
 /// and points more than 16 km from most others are off by more than 0.5 mm, both with a `UserWarning`. Raises
 /// `ValueError` for invalid arrays, `TypeError` for masked values, `RenderError` without a device.
 #[pyfunction]
-#[pyo3(signature = (points, intrinsics, camera_from_world, size, *, schedule="15:2,35:1,100:0", rasterizer="auto"))]
+#[pyo3(signature = (points, intrinsics, camera_from_world, size, *, schedule="15:2,35:1,100:0",
+    rasterizer="auto"))]
 pub(crate) fn splat<'py>(
     py: Python<'py>,
     points: Numbers<'py>,

@@ -322,7 +322,8 @@ mod tests {
 
     proptest! {
         #[test]
-        fn arbitrary_bytes_never_panic(bytes in prop::collection::vec(any::<u8>(), 0..300), npy in any::<bool>()) {
+        fn arbitrary_bytes_never_panic(bytes in prop::collection::vec(any::<u8>(), 0..300),
+        npy in any::<bool>()) {
             let mut file = if npy { b"\x93NUMPY\x01\x00".to_vec() } else { Vec::new() };
             file.extend(bytes);
             let _ = parse(&file);
@@ -337,7 +338,8 @@ mod tests {
         }
 
         #[test]
-        fn arbitrary_headers_never_panic(shape in "[(]?[-0-9a-z,.()'\\[\\]{}: ]{0,40}", descr in "[<>|=a-zA-Z0-9]{0,8}") {
+        fn arbitrary_headers_never_panic(shape in "[(]?[-0-9a-z,.()'\\[\\]{}: \
+            ]{0,40}", descr in "[<>|=a-zA-Z0-9]{0,8}") {
             let _ = parse(&array(&descr, false, &shape, &f32s(&ROW)));
         }
     }

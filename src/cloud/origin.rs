@@ -115,7 +115,8 @@ impl Precision {
         let error = if *error_m < 1e4 { format!("{error_m:.3}") } else { format!("{error_m:.0e}") };
         (*far_points > 0).then(|| {
             format!(
-                "{far_points} of {points} points lie more than {PRECISE_WITHIN_M} m from {from}: rounded by up to {error} m"
+                "{far_points} of {points} points lie more than {PRECISE_WITHIN_M} m from {from}: rounded by \
+                    up to {error} m"
             )
         })
     }
@@ -196,7 +197,8 @@ mod tests {
         let note = precision.note(4, Some(DVec3::new(7e5, 1.0, 2.0))).unwrap();
         assert_eq!(
             note,
-            "2 of 4 points lie more than 16384 m from the origin (700000, 1, 2), near which most points lie: rounded by up to 0.031 m"
+            "2 of 4 points lie more than 16384 m from the origin (700000, 1, 2), near which most points lie: \
+                rounded by up to 0.031 m"
         );
         assert_eq!(Precision::default().note(4, None), None);
     }

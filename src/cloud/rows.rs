@@ -95,7 +95,8 @@ pub(super) fn collect(
     if bad_colors > 0 {
         let (count, max) = (cloud.points.len(), range.scale().max());
         cloud.notes.push(format!(
-            "colors of {bad_colors} of {count} points are not finite or just beyond 0 to {max}: black, or the nearest level"
+            "colors of {bad_colors} of {count} points are not finite or just beyond 0 to {max}: black, or \
+                the nearest level"
         ));
     }
     cloud.notes.extend(cloud.precision.note(cloud.points.len(), origin));

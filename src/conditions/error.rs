@@ -24,7 +24,8 @@ pub enum ConditionError {
         step: String,
     },
     /// Cameras of one array differ in size.
-    #[error("expected a common image size of all cameras in one array, found {first} and {other}: {}", path.display())]
+    #[error("expected a common image size of all cameras in one array, found {first} and {other}: \
+        {}", path.display())]
     Sizes {
         /// Name and size of the first camera.
         first: String,
@@ -35,7 +36,8 @@ pub enum ConditionError {
     },
     /// A lens shows rays from too far outside the pinhole image.
     #[error(
-        "expected a lens that shows no more than a pinhole image {growth} times as large as {size}, found one that needs \
+        "expected a lens that shows no more than a pinhole image {growth} times as large as {size}, found \
+            one that needs \
          {height}x{width}: camera {camera}"
     )]
     Lens {
@@ -55,7 +57,8 @@ pub enum ConditionError {
     #[error("expected bilinear color for distorted maps, found a filter that leaves empty pixels out")]
     DistortedArea,
     /// A number exceeds the range of the file's pixels.
-    #[error("expected {map} numbers of at most {max} in a PNG (EXR and NPZ hold more), found {found}: {}", path.display())]
+    #[error("expected {map} numbers of at most {max} in a PNG (EXR and NPZ hold more), found {found}: \
+        {}", path.display())]
     PngRange {
         /// Name of the map.
         map: &'static str,

@@ -179,7 +179,8 @@ pub enum DatasetError {
     File(#[from] FileError),
     /// Invalid locator of a log.
     #[error(
-        "expected a log named FORMAT:PATH[@VERSION][#SCENE] with FORMAT {formats}, or the path of one, found {found:?}"
+        "expected a log named FORMAT:PATH[@VERSION][#SCENE] with FORMAT {formats}, or the path of one, found \
+            {found:?}"
     )]
     Locator {
         /// Given text.
@@ -199,7 +200,9 @@ pub enum DatasetError {
         path: PathBuf,
     },
     /// No scene selected among several, or an unknown one.
-    #[error("expected #SCENE to name one of {}, found {}: {}", printable(&scenes.join(", ")), printable(found.as_deref().unwrap_or("none")), printable_path(path))]
+    #[error("expected #SCENE to name one of {}, found {}: \
+        {}", printable(&scenes.join(", ")), printable(found.as_deref().unwrap_or("none")),
+        printable_path(path))]
     Scene {
         /// Requested scene.
         found: Option<String>,

@@ -274,7 +274,8 @@ mod tests {
         refused("[{\"token\": \"a\"},]", "a comma before the closing bracket near \"]\" (line 1, column 17)");
         refused(
             "[{\"token\": None}]",
-            "None, a word of Python (JSON has null, true, false), in [0].token near \"None}]\" (line 1, column 12)",
+            "None, a word of Python (JSON has null, true, false), in [0].token near \"None}]\" (line 1, \
+                column 12)",
         );
         refused(
             "{\"token\": \"a\"}\n{\"token\": \"b\"}",

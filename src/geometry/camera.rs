@@ -52,7 +52,8 @@ pub enum CameraError {
     LastRow([f64; 3]),
     /// The determinant is zero, or a focal length is not positive or above [`Camera::MAX_FOCAL`].
     #[error(
-        "expected invertible intrinsics with focal lengths above 0 and up to 1e9 pixels, found fx {fx:?}, fy {fy:?}, determinant {determinant:?}"
+        "expected invertible intrinsics with focal lengths above 0 and up to 1e9 pixels, found fx {fx:?}, fy \
+            {fy:?}, determinant {determinant:?}"
     )]
     Singular {
         /// Pixels.

@@ -161,11 +161,13 @@ mod tests {
         }
 
         #[test]
-        fn meetings_are_overlaps_at_their_time(a in any(), b in any(), x in -9.0..9.0, y in -9.0..9.0, t in -3.0..3.0f64) {
+        fn meetings_are_overlaps_at_their_time(a in any(), b in any(), x in -9.0..9.0, y in -9.0..9.0,
+        t in -3.0..3.0f64) {
             let velocity = DVec2::new(x, y);
             let moved = Footprint { center: b.center + velocity * t, ..b };
             let times = a.meets(&b, velocity);
-            let edge = times.as_ref().is_some_and(|r: &Range<f64>| (r.start - t).abs().min((r.end - t).abs()) < 1e-9);
+            let to_edge = |r: &Range<f64>| (r.start - t).abs().min((r.end - t).abs());
+            let edge = times.as_ref().is_some_and(|r| to_edge(r) < 1e-9);
             if !edge {
                 prop_assert_eq!(a.overlaps(&moved), times.is_some_and(|r| r.contains(&t)));
             }

@@ -1,7 +1,8 @@
 use ash::vk;
 
 /// How to install a Vulkan driver that needs no GPU.
-const INSTALL_DRIVER: &str = "install one with `apt-get install libvulkan1 mesa-vulkan-drivers` (Mesa's lavapipe needs \
+const INSTALL_DRIVER: &str = "install one with `apt-get install libvulkan1 mesa-vulkan-drivers` (Mesa's \
+    lavapipe needs \
      no GPU; ci/setup.sh does it)";
 
 /// Error of the device or its driver.
@@ -23,7 +24,8 @@ pub enum GpuError {
     },
     /// No device matches the requested name or index.
     #[error(
-        "expected a Vulkan device whose name contains {wanted:?} or that has this index (PSKEL_DEVICE), found {found}"
+        "expected a Vulkan device whose name contains {wanted:?} or that has this index (PSKEL_DEVICE), \
+            found {found}"
     )]
     UnknownDevice {
         /// Name or index as given.
@@ -33,13 +35,15 @@ pub enum GpuError {
     },
     /// Validation was requested, and the layer is not installed.
     #[error(
-        "expected the layer VK_LAYER_KHRONOS_validation (PSKEL_VALIDATION=1 asks for it), found none; install it with \
+        "expected the layer VK_LAYER_KHRONOS_validation (PSKEL_VALIDATION=1 asks for it), found none; \
+            install it with \
          `apt-get install vulkan-validationlayers`"
     )]
     NoValidationLayer,
     /// The process was forked from one that had opened a device.
     #[error(
-        "expected a process that opens its own devices, found {found}, a fork of {opened_by}, which had opened one; \
+        "expected a process that opens its own devices, found {found}, a fork of {opened_by}, which had \
+            opened one; \
          start processes by spawning instead of forking"
     )]
     Forked {

@@ -16,7 +16,8 @@
 //! let mut rasterizer = create(&RasterizerKind::Cpu.into(), vec![&points])?;
 //! let instances = [Instance { cloud: 0, world_from_local: pose, number: 0 }];
 //! let schedule = SplatSchedule::default();
-//! let job = SplatJob { view: &view, schedule: &schedule, instances: &instances, crop: None, maps: MapSet::SPLATTED };
+//! let (schedule, instances, maps) = (&schedule, &instances, MapSet::SPLATTED);
+//! let job = SplatJob { view: &view, schedule, instances, crop: None, maps };
 //! let maps = rasterizer.splat(&job)?;
 //! # assert_eq!(maps.depth_m.iter().filter(|z| **z == 5.0).count(), 25);
 //! # Ok::<(), Box<dyn std::error::Error>>(())

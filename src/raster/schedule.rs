@@ -26,7 +26,8 @@ pub enum ScheduleError {
     #[error("expected positive, rising depths in the splat schedule, found {0}")]
     Depths(SplatSchedule),
     /// A radius that increases with depth or exceeds the limit.
-    #[error("expected radii of at most {max} that never increase with depth, found {schedule}", max = SplatSchedule::MAX_RADIUS)]
+    #[error("expected radii of at most {max} that never increase with depth, found \
+        {schedule}", max = SplatSchedule::MAX_RADIUS)]
     Radii {
         /// Rejected schedule.
         schedule: SplatSchedule,

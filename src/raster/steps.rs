@@ -14,8 +14,10 @@ pub(super) struct Step {
     pad_0: u32,
     pad_1: u32,
 }
-assert_layout!(Step, shaders::splat_vert::step, [z_max_m: Z_MAX_M, radius: RADIUS, pad_0: PAD_0, pad_1: PAD_1]);
-assert_layout!(Step, shaders::project_wgsl_pixel::step, [z_max_m: Z_MAX_M, radius: RADIUS, pad_0: PAD_0, pad_1: PAD_1]);
+assert_layout!(Step, shaders::splat_vert::step, [z_max_m: Z_MAX_M, radius: RADIUS, pad_0: PAD_0,
+pad_1: PAD_1]);
+assert_layout!(Step, shaders::project_wgsl_pixel::step, [z_max_m: Z_MAX_M, radius: RADIUS, pad_0: PAD_0,
+pad_1: PAD_1]);
 
 /// Returns all entries, padded with zeros.
 pub(super) fn steps(schedule: &SplatSchedule) -> [Step; SplatSchedule::MAX_STEPS] {

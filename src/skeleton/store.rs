@@ -259,7 +259,8 @@ impl Skeleton {
             return Ok(());
         }
         let expected = format!(
-            "a skeleton of the recording {} with the same frames, poses, cameras, files, categories and boxes",
+            "a skeleton of the recording {} with the same frames, poses, cameras, files, categories and \
+                boxes",
             log.name
         );
         let found =

@@ -98,7 +98,8 @@ impl ShardRecord {
             }
             let expected = format!("a shard of this {difference}");
             let found = format!(
-                "one of another {difference} or state of its name; use another folder, or --verify to write it again"
+                "one of another {difference} or state of its name; use another folder, or --verify to write \
+                    it again"
             );
             return Err(FileError::content(expected, found, &out.join(record_path(&unit.name))));
         }

@@ -19,8 +19,8 @@ use naga::valid::{Capabilities, ModuleInfo, ValidationFlags, Validator};
 use naga::{AddressSpace, Binding, Expression, Literal, Module, ScalarKind, ShaderStage, TypeInner};
 
 /// Compiles all shaders in `glsl/` of the package whose build script calls it, into `OUT_DIR/shaders.rs`. The
-/// package includes that file below a module with `point_skeleton::gpu::pipeline::shader::*` in scope. Prints an error
-/// and returns a failure if a shader is invalid.
+/// package includes that file below a module with `point_skeleton::gpu::shader::*` in scope. Prints
+/// an error and returns a failure if a shader is invalid.
 pub fn build_script() -> ExitCode {
     match compile_all() {
         Ok(()) => ExitCode::SUCCESS,
@@ -159,8 +159,10 @@ fn without_contraction(words: &[u32]) -> Vec<u32> {
     while at < words.len() {
         let (opcode, length) = (words[at] & 0xffff, (words[at] >> 16) as usize);
         match opcode {
-            19..=39 => first_type = first_type.min(at), // OpTypeVoid ..: first instruction after the decorations
-            127 | 129 | 131 | 133 | 136 | 140..=146 | 148 => results.push(words[at + 2]), // OpFNegate .. OpDot
+            19..=39 => first_type = first_type.min(at),
+            // OpTypeVoid ..: first instruction after the decorations
+            127 | 129 | 131 | 133 | 136 | 140..=146 | 148 => results.push(words[at + 2]),
+            // OpFNegate .. OpDot
             _ => {}
         }
         at += length;
@@ -214,8 +216,10 @@ fn describe(name: &str, module: &Module, info: &ModuleInfo, words: &[u32]) -> Re
         }
     }
     let mut text = format!(
-        "/// `{name}`.\npub mod {} {{\n    use super::*;\n    /// The shader.\n    pub const SHADER: Shader = Shader {{ \
-         name: \"{name}\", entry: c\"{}\", stage: Stage::{:?}, push_size: {push_size}, bindings: &[{bindings}], \
+        "/// `{name}`.\npub mod {} {{\n    use super::*;\n    /// The shader.\n    pub const SHADER: Shader \
+            = Shader {{ \
+         name: \"{name}\", entry: c\"{}\", stage: Stage::{:?}, push_size: {push_size}, bindings: \
+         &[{bindings}], \
          inputs: &[{}], workgroup: {:?}, words: &{words:?} }};\n",
         name.replace('.', "_"),
         entry.name,

@@ -22,7 +22,8 @@ pub enum SimError {
     },
     /// The simulation rate is not a multiple of the planning rate.
     #[error(
-        "expected the steps a second to be a multiple of the plans a second, found {sim_hz} Hz and {plan_hz} Hz"
+        "expected the steps a second to be a multiple of the plans a second, found {sim_hz} Hz and {plan_hz} \
+            Hz"
     )]
     Clock {
         /// Simulation steps per second.
@@ -33,7 +34,8 @@ pub enum SimError {
     /// `every_frames` is 0, given together with rates, or used with an ego or actors that do not follow the
     /// log.
     #[error(
-        "expected every so many-th frame to be a step of an ego and actors that follow the log, without rates, found every {every}"
+        "expected every so many-th frame to be a step of an ego and actors that follow the log, without \
+            rates, found every {every}"
     )]
     Frames {
         /// Given interval, frames.
@@ -68,7 +70,8 @@ pub enum SimError {
     Plan(#[from] super::peer::ProtocolError),
     /// The caller gives a plan at a step that has none.
     #[error(
-        "expected no plan for step {step}, which has one, is no planning step, or has an ego that does not follow the caller; found one"
+        "expected no plan for step {step}, which has one, is no planning step, or has an ego that does not \
+            follow the caller; found one"
     )]
     NotPlanned {
         /// Number of the step.

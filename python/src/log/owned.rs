@@ -35,7 +35,8 @@ impl OwnedLog {
         let here = std::process::id();
         match self.rendered_by.compare_exchange(0, here, Ordering::Relaxed, Ordering::Relaxed) {
             Err(owner) if owner != here => Err(RenderError::new_err(format!(
-                "expected the process that rendered images of the log ({owner}), found its fork {here}: open the Log in \
+                "expected the process that rendered images of the log ({owner}), found its fork {here}: open \
+                    the Log in \
                  each process"
             ))),
             _ => Ok(()),

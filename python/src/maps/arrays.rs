@@ -74,7 +74,8 @@ fn check_unmasked(object: &Bound<'_, PyAny>) -> PyResult<()> {
     let mask = masked.call_method1("getmaskarray", (object,))?;
     let count: usize = mask.call_method0("sum")?.extract()?;
     Err(PyTypeError::new_err(format!(
-        "expected an array without masked values, found {count} masked: drop them (points[~points.mask.any(axis=1)]) or fill them"
+        "expected an array without masked values, found {count} masked: drop them \
+            (points[~points.mask.any(axis=1)]) or fill them"
     )))
 }
 

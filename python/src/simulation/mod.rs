@@ -59,7 +59,8 @@ struct State {
 #[pymethods]
 impl Simulation {
     #[new]
-    #[pyo3(signature = (log, *, ego="caller", actors="replay", steps=100, tracking="perfect", sim_hz=None, plan_hz=None, warmup_frames=1, start_us=None, seed=0, saved=None))]
+    #[pyo3(signature = (log, *, ego="caller", actors="replay", steps=100, tracking="perfect", sim_hz=None,
+        plan_hz=None, warmup_frames=1, start_us=None, seed=0, saved=None))]
     #[allow(clippy::too_many_arguments)] // keyword arguments of Python
     fn new(
         py: Python<'_>,

@@ -50,7 +50,9 @@ struct State {
 #[pymethods]
 impl ResetAndRoll {
     #[new]
-    #[pyo3(signature = (denoise, shape, *, window=12, steps=36, clean=0, strategy="reset_and_roll", history_noise=0, forecasts=1, sampler="flow_match", shift=3.0, prediction=None, guidance=1.0, seed=0))]
+    #[pyo3(signature = (denoise, shape, *, window=12, steps=36, clean=0, strategy="reset_and_roll",
+        history_noise=0, forecasts=1, sampler="flow_match", shift=3.0, prediction=None, guidance=1.0,
+        seed=0))]
     #[allow(clippy::too_many_arguments)] // keyword arguments of Python
     fn new(
         denoise: Py<PyAny>,

@@ -231,7 +231,8 @@ mod tests {
             encoding in "(ascii|binary_little_endian|binary_big_endian)",
             data in prop::collection::vec(any::<u8>(), 0..100),
         ) {
-            let mut file = format!("ply\nformat {encoding} 1.0\n{}\nend_header\n", lines.join("\n")).into_bytes();
+            let mut file = format!("ply\nformat {encoding} \
+                1.0\n{}\nend_header\n", lines.join("\n")).into_bytes();
             file.extend(data);
             let _ = parse(&file);
         }

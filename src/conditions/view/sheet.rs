@@ -3,7 +3,8 @@
 //! # How it works
 //! Each map is a block with a title and a legend. In it, the cameras of a known surround rig are arranged by
 //! direction (front left, front, front right above back left, back, back right); other cameras are in rows of
-//! three. Classes and numbers are shown as colors over the depth in dark gray. Tiles are scaled down to at most [`TILE_WIDTH_PX`].
+//! three. Classes and numbers are shown as colors over the depth in dark gray. Tiles are scaled down to at
+//! most [`TILE_WIDTH_PX`].
 
 use std::path::Path;
 

@@ -107,7 +107,8 @@ pub(super) fn unread(calibrated: &CalibratedSensor, sensor: &Sensor, option: Ima
     let ignored = lens.ignored.map(|key| {
         let key = printable(&key);
         format!(
-            "cameras with {key}, whose images are read as rectified (--image-distortion apply if they are not)"
+            "cameras with {key}, whose images are read as rectified (--image-distortion apply if they are \
+                not)"
         )
     });
     let is_unknown = |(key, value): &(&String, &Value)| {
@@ -190,7 +191,8 @@ mod tests {
     use serde_json::json;
 
     fn read(value: Value, model: Value, option: ImageDistortion) -> Result<Lens, String> {
-        let record = json!({"token": "c", "sensor_token": "s", "translation": [0, 0, 0], "rotation": [1, 0, 0, 0],
+        let record = json!({"token": "c", "sensor_token": "s", "translation": [0, 0, 0], "rotation": [1, 0,
+            0, 0],
             "camera_intrinsic": [], "camera_distortion": value, "camera_distortion_model": model});
         let calibrated = serde_json::from_value(record).unwrap();
         read_with(&calibrated, &json!({}), option)

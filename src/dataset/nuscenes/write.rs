@@ -208,16 +208,19 @@ impl Tables {
             "last_sample_token": token(Kind::Sample, log.frames.len().saturating_sub(1)),
         }));
         self.rows("log").push(json!({
-            "token": record, "logfile": log.name, "vehicle": "synthetic", "date_captured": "", "location": log.location,
+            "token": record, "logfile": log.name, "vehicle": "synthetic", "date_captured": "",
+            "location": log.location,
         }));
         let picture = self.map_picture.clone();
         self.rows("map").push(json!({
-            "token": token(Kind::Other, 2), "log_tokens": [record], "category": "semantic_prior", "filename": picture,
+            "token": token(Kind::Other, 2), "log_tokens": [record], "category": "semantic_prior",
+            "filename": picture,
         }));
         self.rows("attribute");
         for (token, [from, to]) in [("1", [0, 40]), ("2", [40, 60]), ("3", [60, 80]), ("4", [80, 100])] {
             self.rows("visibility").push(json!({
-                "token": token, "level": format!("v{from}-{to}"), "description": format!("{from} to {to} % visible"),
+                "token": token, "level": format!("v{from}-{to}"),
+                "description": format!("{from} to {to} % visible"),
             }));
         }
         let sensors = log.cameras.iter().map(|name| (name.as_str(), "camera")).chain([(LIDAR, "lidar")]);
@@ -247,7 +250,8 @@ impl Tables {
         let log = dataset.recording();
         let frame = &log.frames[index];
         self.rows("sample").push(json!({
-            "token": token(Kind::Sample, index), "timestamp": frame.t_us, "scene_token": token(Kind::Other, 0),
+            "token": token(Kind::Sample, index), "timestamp": frame.t_us, "scene_token": token(Kind::Other,
+            0),
             "prev": neighbour(Kind::Sample, index.checked_sub(1)),
             "next": neighbour(Kind::Sample, Some(index + 1).filter(|i| *i < log.frames.len())),
         }));
@@ -285,7 +289,8 @@ impl Tables {
         let index = self.rows("sample_data").len();
         let pose = token(Kind::Pose, index);
         self.rows("ego_pose").push(json!({
-            "token": pose, "timestamp": t_us, "rotation": ego.wxyz(), "translation": ego.translation.to_array(),
+            "token": pose, "timestamp": t_us, "rotation": ego.wxyz(),
+            "translation": ego.translation.to_array(),
         }));
         let before = self.last_data.insert(sensor, index);
         if let Some(before) = before {
@@ -295,7 +300,8 @@ impl Tables {
         let format = if name.ends_with(".pcd.bin") { "pcd" } else { "jpg" };
         self.rows("sample_data").push(json!({
             "token": token(Kind::SampleData, index), "sample_token": token(Kind::Sample, frame),
-            "ego_pose_token": pose, "calibrated_sensor_token": calibration, "timestamp": t_us, "is_key_frame": key,
+            "ego_pose_token": pose, "calibrated_sensor_token": calibration, "timestamp": t_us,
+            "is_key_frame": key,
             "height": height, "width": width, "fileformat": format, "filename": name,
             "prev": neighbour(Kind::SampleData, before), "next": "",
         }));
@@ -305,7 +311,8 @@ impl Tables {
     fn calibration(&mut self, sensor: usize, extrinsics: Pose, intrinsics: Value) -> String {
         let row = |token: &str| {
             json!({
-                "token": token, "sensor_token": self::token(Kind::Sensor, sensor), "rotation": extrinsics.wxyz(),
+                "token": token, "sensor_token": self::token(Kind::Sensor, sensor),
+                "rotation": extrinsics.wxyz(),
                 "translation": extrinsics.translation.to_array(), "camera_intrinsic": intrinsics,
             })
         };
@@ -334,7 +341,8 @@ impl Tables {
         }
         let (pose, size) = (item.cuboid.pose, item.cuboid.size);
         self.rows("sample_annotation").push(json!({
-            "token": own, "sample_token": token(Kind::Sample, frame), "instance_token": track, "visibility_token": "4",
+            "token": own, "sample_token": token(Kind::Sample, frame), "instance_token": track,
+            "visibility_token": "4",
             "attribute_tokens": [], "translation": pose.translation.to_array(), "rotation": pose.wxyz(),
             "size": [size.y, size.x, size.z], "prev": neighbour(Kind::Annotation, before), "next": "",
             "num_lidar_pts": points, "num_radar_pts": 0,

@@ -110,11 +110,15 @@ impl Layers {
             })
         };
         put("lane", map.lanes.iter().map(|l| lane(&mut self, l)).collect());
-        let connector = |layers: &mut Self, lane: &Lane| json!({"token": lane.id, "polygon_token": layers.polygon(&lane.outline)});
+        let connector = |layers: &mut Self, lane: &Lane| {
+            json!({"token": lane.id,
+            "polygon_token": layers.polygon(&lane.outline)})
+        };
         put("lane_connector", map.lane_connectors.iter().map(|l| connector(&mut self, l)).collect());
         put("ped_crossing", self.areas("ped_crossing", &map.crossings, json!({"road_segment_token": ""})));
         let stop = json!({
-            "stop_line_type": "TURN_STOP", "ped_crossing_tokens": [], "traffic_light_tokens": [], "road_block_token": "",
+            "stop_line_type": "TURN_STOP", "ped_crossing_tokens": [], "traffic_light_tokens": [],
+            "road_block_token": "",
         });
         put("stop_line", self.areas("stop_line", &map.stop_lines, stop));
         put("walkway", self.areas("walkway", &extra.walkways, json!({})));

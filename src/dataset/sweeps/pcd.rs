@@ -187,8 +187,10 @@ mod tests {
     use crate::dataset::SweepPoint;
     use proptest::prelude::*;
 
-    const HEADER: &str = "# .PCD v0.7\nVERSION 0.7\nFIELDS x y z intensity lidar_info ring\nSIZE 4 4 4 1 1 1\n\
-        TYPE F F F U U U\nCOUNT 1 1 1 1 1 1\nWIDTH 2\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS 2\nDATA binary\n";
+    const HEADER: &str = "# .PCD v0.7\nVERSION 0.7\nFIELDS x y z intensity lidar_info ring\nSIZE 4 4 4 1 1 \
+        1\n\
+        TYPE F F F U U U\nCOUNT 1 1 1 1 1 1\nWIDTH 2\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS 2\nDATA \
+        binary\n";
 
     /// Two points in the layout above.
     fn file() -> Vec<u8> {
@@ -235,7 +237,8 @@ mod tests {
 
     #[test]
     fn other_fields_are_skipped_and_counts_may_lack() {
-        let header = "FIELDS pad z y x time\nSIZE 2 4 4 4 8\nTYPE U F F F F\nCOUNT 3 1 1 1 1\nWIDTH 1\nHEIGHT 1\nDATA binary\n";
+        let header = "FIELDS pad z y x time\nSIZE 2 4 4 4 8\nTYPE U F F F F\nCOUNT 3 1 1 1 1\nWIDTH \
+            1\nHEIGHT 1\nDATA binary\n";
         let values = [&[9; 6], [3.0_f32, 2.0, 1.0].map(f32::to_le_bytes).as_flattened(), &[9; 8]].concat();
         let sweep = parse(&[header.as_bytes(), &values].concat()).unwrap();
         assert_eq!(sweep.points, [SweepPoint { position: [1.0, 2.0, 3.0], ..SweepPoint::default() }]);
@@ -354,7 +357,8 @@ mod tests {
         assert_eq!((sweep.notes[&note("intensity")], sweep.notes[&note("ring")]), (1, 1));
         assert!(sweep.points.iter().all(|point| point.intensity == 0.0) && sweep.devices);
         // An array takes the place of several numbers.
-        let header = "FIELDS x y z lidar_info\nSIZE 4 4 4 1\nTYPE F F F U\nCOUNT 1 1 1 2\nWIDTH 1\nHEIGHT 1\nDATA ascii\n";
+        let header = "FIELDS x y z lidar_info\nSIZE 4 4 4 1\nTYPE F F F U\nCOUNT 1 1 1 2\nWIDTH 1\nHEIGHT \
+            1\nDATA ascii\n";
         let sweep = parse(format!("{header}1 2 3 4 5\n").as_bytes()).unwrap();
         assert_eq!((sweep.points[0].position, sweep.notes[&note("lidar_info")]), ([1.0, 2.0, 3.0], 1));
     }
@@ -378,7 +382,8 @@ mod tests {
     /// Fields of truck LiDARs: times of 8 bytes, and padding.
     #[test]
     fn times_and_padding_are_skipped() {
-        let header = "# .PCD v0.7\nVERSION 0.7\nFIELDS x y z _ intensity timestamp\nSIZE 4 4 4 1 4 8\nTYPE F F F U F U\n\
+        let header = "# .PCD v0.7\nVERSION 0.7\nFIELDS x y z _ intensity timestamp\nSIZE 4 4 4 1 4 8\nTYPE F \
+            F F U F U\n\
             COUNT 1 1 1 4 1 1\nWIDTH 1\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS 1\nDATA binary\n";
         let position = [1.0_f32, 2.0, 3.0].map(f32::to_le_bytes);
         let rest = [&[9; 4], &0.5_f32.to_le_bytes()[..], &1_692_868_171_700_983_u64.to_le_bytes()].concat();
@@ -391,7 +396,8 @@ mod tests {
     fn integers_have_up_to_8_bytes() {
         for kind in ["U", "I"] {
             let header = format!(
-                "FIELDS x y z intensity ring\nSIZE 4 4 4 8 8\nTYPE F F F {kind} {kind}\nWIDTH 1\nHEIGHT 1\nDATA binary\n"
+                "FIELDS x y z intensity ring\nSIZE 4 4 4 8 8\nTYPE F F F {kind} {kind}\nWIDTH 1\nHEIGHT \
+                    1\nDATA binary\n"
             );
             let values = [200_u64, 31].map(u64::to_le_bytes);
             let position = [1.0_f32, 2.0, 3.0].map(f32::to_le_bytes);

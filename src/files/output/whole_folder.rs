@@ -82,7 +82,8 @@ fn put(new: &Path, path: &Path, manifest: &Manifest) -> Result<(), FileError> {
 fn is_replaced_by_files(path: &Path, scratch: &Path) -> bool {
     // A folder with content is never replaced by a rename; other errors come first.
     path.is_dir()
-        && matches!(std::fs::rename(path, scratch), Err(error) if mounts::is_fixed(&error) || is_above(&error))
+        && matches!(std::fs::rename(path, scratch),
+        Err(error) if mounts::is_fixed(&error) || is_above(&error))
 }
 
 /// Returns whether an error of a rename says that the target is below the source.

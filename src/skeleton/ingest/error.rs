@@ -25,7 +25,8 @@ pub enum BuildError {
         found: usize,
     },
     /// The frames have no sweep.
-    #[error("expected frames with a LiDAR sweep, found none in {frames} frames of {}{}", printable(&logs.join(", ")), first(gap.as_ref()))]
+    #[error("expected frames with a LiDAR sweep, found none in {frames} frames of \
+        {}{}", printable(&logs.join(", ")), first(gap.as_ref()))]
     NoSweeps {
         /// Number of inspected frames.
         frames: usize,
@@ -36,7 +37,8 @@ pub enum BuildError {
     },
     /// No point has a color.
     #[error(
-        "expected at least one point that an image colors, found none in {sweeps} sweeps ({points} points read) and {images} images{}",
+        "expected at least one point that an image colors, found none in {sweeps} sweeps ({points} points \
+            read) and {images} images{}",
         listed(notes)
     )]
     Empty {

@@ -44,6 +44,9 @@ struct Entry {
     xxh3: Checksum,
 }
 
+/// Callback that writes a cell with its sums.
+type WriteCell<'a> = dyn FnMut(Cell, Vec<VoxelSum>) -> Result<(), FileError> + 'a;
+
 impl RunName {
     pub(super) fn sums(&self, folder: &Path) -> PathBuf {
         folder.join(format!("run-{:06}.sums", self.number))
@@ -57,7 +60,7 @@ impl RunName {
     fn write(
         &self,
         folder: &Path,
-        fill: impl FnOnce(&mut dyn FnMut(Cell, Vec<VoxelSum>) -> Result<(), FileError>) -> Result<(), FileError>,
+        fill: impl FnOnce(&mut WriteCell<'_>) -> Result<(), FileError>,
     ) -> Result<(), FileError> {
         let path = self.sums(folder);
         let mut index = Vec::new();

@@ -238,7 +238,8 @@ mod tests {
             DVec3::new(664_000.0 + f64::from(x) * 1.5, 3_997_000.0 + f64::from(y), f64::from(z) * 0.5)
         });
         let size = prop_oneof![
-            6 => (1..5_i32, 1..3_i32, 1..3_i32).prop_map(|(x, y, z)| DVec3::new(f64::from(x), f64::from(y), f64::from(z))),
+            6 => (1..5_i32, 1..3_i32, 1..3_i32).prop_map(|(x, y, z)| DVec3::new(f64::from(x), f64::from(y),
+            f64::from(z))),
             1 => Just(DVec3::new(300.0, 200.0, 4.0)),
             1 => Just(DVec3::splat(4e9)),
         ];

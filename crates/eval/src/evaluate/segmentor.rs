@@ -75,7 +75,8 @@ impl Segmentors {
     ) -> Result<Self, EvaluateError> {
         let options = PatchOptions { seed, ..PatchOptions::default() };
         let mut about = PatchesAbout {
-            what: "a random forest on patches of colors and their place, trained on true images; no segmentation network",
+            what: "a random forest on patches of colors and their place, trained on true images; no \
+                segmentation network",
             trained_on: from.iter().map(|folder| folder.display().to_string()).collect(),
             images: Vec::new(),
             missing: None,

@@ -121,7 +121,8 @@ impl ProtocolReport {
     pub fn table(&self) -> String {
         let columns = COLUMNS.map(|(_, column, _)| column).join(" | ");
         let mut text = format!(
-            "| {} | clips | frames | {columns} | Fréchet, images | Fréchet, videos | at-fault collisions | off-road share |\n",
+            "| {} | clips | frames | {columns} | Fréchet, images | Fréchet, videos | at-fault collisions | \
+                off-road share |\n",
             self.protocol
         );
         text += &format!("{}|\n", "|---".repeat(COLUMNS.len() + 7));
@@ -138,7 +139,8 @@ impl ProtocolReport {
             // Writing to a string cannot fail.
             let _ = writeln!(
                 text,
-                "| {name} | {clips} | {generated} | {means} | {of_images} | {of_videos} | {at_fault_collisions} | {} |",
+                "| {name} | {clips} | {generated} | {means} | {of_images} | {of_videos} | \
+                    {at_fault_collisions} | {} |",
                 interval(*off_road_share, 3)
             );
         }

@@ -43,7 +43,8 @@ pub enum ScoreError {
         found: usize,
     },
     /// Wrong size of an image.
-    #[error("expected {what} of {}x{} pixels for camera {camera}, found {}x{}", expected.1, expected.0, found.1, found.0)]
+    #[error("expected {what} of {}x{} pixels for camera {camera}, found \
+        {}x{}", expected.1, expected.0, found.1, found.0)]
     Size {
         /// Kind of the input.
         what: &'static str,

@@ -50,8 +50,8 @@ pub struct Scores {
     pub psnr_db: Series,
     /// SSIM, see [`ssim`](crate::images::ssim::ssim); mean over cameras.
     pub ssim: Series,
-    /// Sharpness of generated images, see [`sharpness`](crate::images::sharpness::sharpness); mean over cameras, levels per
-    /// pixel.
+    /// Sharpness of generated images, see [`sharpness`](crate::images::sharpness::sharpness); mean over
+    /// cameras, levels per pixel.
     pub sharpness: Series,
     /// Sharpness of ground-truth images.
     pub sharpness_truth: Series,

@@ -34,7 +34,8 @@ impl Default for PatchOptions {
 pub enum PatchClassifierError {
     /// Pixels of vehicles or of other things are missing.
     #[error(
-        "expected true images with pixels of vehicles and of others to train on, found {vehicles} and {others}"
+        "expected true images with pixels of vehicles and of others to train on, found {vehicles} and \
+            {others}"
     )]
     Pixels {
         /// Pixels of vehicles.

@@ -73,7 +73,8 @@ pub(crate) fn index_entry(layout: Layout, record: &ShardRecord) -> Value {
             "url": file.path, "nsamples": record.samples, "filesize": file.bytes, "sha256": file.sha256,
         }),
         _ => {
-            serde_json::json!({ "name": record.name, "nsamples": record.samples, "files": record.files.len() })
+            serde_json::json!({ "name": record.name, "nsamples": record.samples,
+            "files": record.files.len() })
         }
     }
 }

@@ -97,9 +97,11 @@ fn is_of_points(data: &[u8], error: &str) -> bool {
 
 fn sweep_pcd_seeds() -> Vec<Seed> {
     let point = |x: f32, device: u8| [&x.to_le_bytes()[..], &[0; 8], &[100, device, 7]].concat();
-    let merged = "# .PCD v0.7\nVERSION 0.7\nFIELDS x y z intensity lidar_info ring\nSIZE 4 4 4 1 1 1\nTYPE F F F U U U\n\
+    let merged = "# .PCD v0.7\nVERSION 0.7\nFIELDS x y z intensity lidar_info ring\nSIZE 4 4 4 1 1 1\nTYPE F \
+        F F U U U\n\
                   COUNT 1 1 1 1 1 1\nWIDTH 2\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS 2\nDATA binary\n";
-    let other = "FIELDS pad z y x time\nSIZE 2 4 4 4 8\nTYPE U F F F F\nCOUNT 3 1 1 1 1\nWIDTH 1\nHEIGHT 1\nDATA binary\n";
+    let other = "FIELDS pad z y x time\nSIZE 2 4 4 4 8\nTYPE U F F F F\nCOUNT 3 1 1 1 1\nWIDTH 1\nHEIGHT \
+        1\nDATA binary\n";
     // Lengths of 31 and 30 bytes, then a run of 30 literals.
     let compressed = [&[31, 0, 0, 0, 30, 0, 0, 0, 29][..], &[1; 30]].concat();
     vec![
@@ -128,14 +130,19 @@ fn read_ply(data: &[u8]) {
 }
 
 fn ply_seeds() -> Vec<Seed> {
-    let text = "ply\nformat ascii 1.0\ncomment made\nelement face 1\nproperty list uchar int corners\nelement vertex 2\n\
-                property double x\nproperty double y\nproperty double z\nproperty uchar red\nend_header\n3 0 1 2\n\
+    let text = "ply\nformat ascii 1.0\ncomment made\nelement face 1\nproperty list uchar int \
+        corners\nelement vertex 2\n\
+                property double x\nproperty double y\nproperty double z\nproperty uchar red\nend_header\n3 0 \
+                1 2\n\
                 500000.25 1 2 9\n500001.5 1e3 3 0\n";
     let binary = written("a.ply", |path| ply::write(path, &some_points()));
-    let floats = "ply\nformat ascii 1.0\nelement vertex 3\nproperty double x\nproperty double y\nproperty double z\n\
-                  property float diffuse_red\nproperty float diffuse_green\nproperty float diffuse_blue\nend_header\n\
+    let floats = "ply\nformat ascii 1.0\nelement vertex 3\nproperty double x\nproperty double y\nproperty \
+        double z\n\
+                  property float diffuse_red\nproperty float diffuse_green\nproperty float \
+                  diffuse_blue\nend_header\n\
                   0 0 0 0.5 1 0\r\nnan -1.#IND inf nan 0 0\n691603.25 5335787.75 520.5 1 0.25 0\n";
-    let packed = "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\nproperty float z\n\
+    let packed = "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\nproperty \
+        float z\n\
                   property float rgb\nend_header\n1 2 3 2.3e-38\n";
     let text = [("text", text), ("floats", floats), ("packed", packed)];
     let text = text.map(|(name, text)| seed(name, text.as_bytes().to_vec()));

@@ -130,8 +130,8 @@ fn seeds() -> Vec<Seed> {
     seeds.push(seed(
         "outside",
         record(
-            r#"{"name":"made-000001","log":"made","input":{"log":"","skeleton":null},"frames":[1,2],"samples":1,
-             "notes":{},"files":[{"path":"../beside.txt","bytes":4,"sha256":""}]}"#,
+            r#"{"name":"made-000001","log":"made","input":{"log":"","skeleton":null},"frames":[1,2],
+             "samples":1,"notes":{},"files":[{"path":"../beside.txt","bytes":4,"sha256":""}]}"#,
         ),
     ));
     seeds

@@ -184,10 +184,14 @@ fn change_once(connection: &Connection, choices: &mut Choices<'_>) -> rusqlite::
             "CREATE TABLE other AS SELECT * FROM {table} UNION ALL SELECT * FROM {table}; DROP TABLE {table};
              ALTER TABLE other RENAME TO {table}"
         )),
-        10 => connection.execute_batch(&format!("ALTER TABLE {table} RENAME TO other; CREATE VIEW {table} AS SELECT * FROM other")),
+        10 => connection.execute_batch(&format!(
+            "ALTER TABLE {table} RENAME TO other; CREATE VIEW {table} AS \
+            SELECT * FROM other"
+        )),
         11 => connection.execute_batch(&format!("ALTER TABLE {table} DROP COLUMN {column}")),
         12 => connection.execute_batch(&format!(
-            "ALTER TABLE {table} RENAME TO other; CREATE VIEW {table} AS WITH RECURSIVE n(i) AS (SELECT 0 UNION ALL
+            "ALTER TABLE {table} RENAME TO other; CREATE VIEW {table} AS WITH RECURSIVE n(i) AS (SELECT 0 \
+                UNION ALL
              SELECT i + 1 FROM n) SELECT other.* FROM other, n"
         )),
         _ => {
@@ -217,7 +221,9 @@ fn pickle_seeds() -> Vec<Seed> {
     let connection = connect(&set.folder.path(&set.database));
     let sql = "SELECT intrinsic FROM camera WHERE channel = 'CAM_F0'";
     let bytes: Vec<u8> = connection.query_row(sql, [], |row| row.get(0)).expect("a pickle");
-    let class = b"\x80\x02cnuplan.database.common.data_types\nCameraIntrinsic\nq\x00)\x81q\x01(]q\x02(K\x02J\x01\x00\x00\x00M\x01\x00e]ae.";
-    let named = b"\x80\x04\x95\x20\x00\x00\x00\x00\x00\x00\x00\x8c\x22nuplan.database.common.data_types\x94\x8c\x08Rotation\x94\x93\x94)\x81\x94G?\xf0\x00\x00\x00\x00\x00\x00a.";
+    let class = b"\x80\x02cnuplan.database.common.data_types\nCameraIntrinsic\nq\x00)\x81q\x01(]q\x02(K\x02J\
+        \x01\x00\x00\x00M\x01\x00e]ae.";
+    let named = b"\x80\x04\x95\x20\x00\x00\x00\x00\x00\x00\x00\x8c\x22nuplan.database.common.data_types\
+        \x94\x8c\x08Rotation\x94\x93\x94)\x81\x94G?\xf0\x00\x00\x00\x00\x00\x00a.";
     vec![seed("matrix", bytes), seed("class", *class), seed("named", *named)]
 }

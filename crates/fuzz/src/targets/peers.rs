@@ -115,9 +115,11 @@ fn planner(data: &[u8]) {
 }
 
 fn planner_seeds() -> Vec<Seed> {
-    let plan = "{\"trajectory\": [{\"t\": 0.1, \"x\": 1000.8, \"y\": 500, \"heading\": 0, \"v\": 8}, {\"t\": 0.5, \
+    let plan = "{\"trajectory\": [{\"t\": 0.1, \"x\": 1000.8, \"y\": 500, \"heading\": 0, \"v\": 8}, {\"t\": \
+        0.5, \
                 \"x\": 1004, \"y\": 500.5, \"heading\": 0.1, \"v\": 8}]}\n";
-    let ego = "{\"step\": 0, \"frame\": \"ego\", \"trajectory\": [{\"t\": 0, \"x\": 0, \"y\": 0, \"heading\": 0, \"v\": 8}, \
+    let ego = "{\"step\": 0, \"frame\": \"ego\", \"trajectory\": [{\"t\": 0, \"x\": 0, \"y\": 0, \
+        \"heading\": 0, \"v\": 8}, \
                {\"t\": 1, \"x\": 8, \"y\": 0, \"heading\": 0, \"v\": 8}]}\n";
     vec![
         seed("plan", format!("\0{plan}{plan}")),
@@ -188,7 +190,8 @@ fn ask(spec: &PeerSpec) -> Result<(), pskel_generate::DenoiserError> {
     let shape = denoiser.shape();
     assert_eq!(shape.views, VIEWS);
     if shape.len() > 1 << 16 {
-        return Ok(()); // a hello may declare a shape up to the longest message; a request would need as much memory
+        // A hello may declare a shape up to the longest message; a request would need as much memory.
+        return Ok(());
     }
     let pixels = SIZE.pixels();
     let condition = FrameConditions {

@@ -18,7 +18,8 @@ impl PixelCodec {
     pub fn new(shape: LatentShape) -> Result<Self, DenoiserError> {
         let patch = (1..=64).find(|patch| 3 * patch * patch == shape.channels);
         let patch = patch.ok_or_else(|| {
-            let expected = "latents of 3, 12, 27, 48 .. channels, the pixels of patches, or `image_size` and a codec of its own";
+            let expected = "latents of 3, 12, 27, 48 .. channels, the pixels of patches, or `image_size` and \
+                a codec of its own";
             DenoiserError::answer(expected, shape.to_string())
         })?;
         Ok(Self { shape, patch })

@@ -103,7 +103,8 @@ impl ProcessDenoiser {
             let found = (condition.views(), condition.size, found_points, found_layout);
             if found != (views, size, points, layout) {
                 let expected = format!(
-                    "conditions of {views} cameras of {size} ({points} and {layout} values) for frame {position} of the window"
+                    "conditions of {views} cameras of {size} ({points} and {layout} values) for frame \
+                        {position} of the window"
                 );
                 let (views, size) = (condition.views(), condition.size);
                 let found = format!("{views} of {size} ({found_points} and {found_layout} values)");

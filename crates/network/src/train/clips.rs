@@ -146,7 +146,8 @@ impl ClipRecorder<'_> {
             let expected = format!("a drive of this recording of {log}");
             let named = file.file_name().unwrap_or_default().display();
             let found = format!(
-                "one of another recording or state of that name, or of an earlier version; remove {named} and {name}.skeleton, or use another folder of drives"
+                "one of another recording or state of that name, or of an earlier version; remove {named} \
+                    and {name}.skeleton, or use another folder of drives"
             );
             return Err(FileError::content(expected, found, file));
         }

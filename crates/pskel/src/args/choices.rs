@@ -64,7 +64,8 @@ pub(crate) const BIN_SCALE: Choices<BinScale> = Choices(&[
     (
         "log",
         BinScale::Log,
-        "Finer near the camera: 85 % of the bins for the nearest 60 % of the range, logarithmic in both parts",
+        "Finer near the camera: 85 % of the bins for the nearest 60 % of the range, logarithmic in both \
+            parts",
     ),
 ]);
 

@@ -17,7 +17,8 @@ pub(crate) fn open_for(path: &Path, log: &Recording) -> Result<Skeleton, FileErr
     let skeleton = Skeleton::open_for(path, log)?;
     if skeleton.is_of(log)? == Some(false) {
         warn(&format!(
-            "the skeleton was built from another recording or state of the name {}: other frames, poses, cameras, files, categories or boxes: {}",
+            "the skeleton was built from another recording or state of the name {}: other frames, poses, \
+                cameras, files, categories or boxes: {}",
             log.shown_name(),
             path.display()
         ));

@@ -202,8 +202,10 @@ fn summary(built: &Manifest) -> String {
     let notes = if notes.is_empty() { String::new() } else { format!("; the log has {}", notes.join(", ")) };
     let logs: Vec<_> = built.sources.iter().map(|source| printable(&source.log)).collect();
     format!(
-        "built {} from {} frames ({} points of {} sweeps, {} images): {background} background points in {} chunks, \
-         {actors} points of {} actors, {} templates; {merged} merged into others of their voxel; dropped {}{notes}",
+        "built {} from {} frames ({} points of {} sweeps, {} images): {background} background points in {} \
+            chunks, \
+         {actors} points of {} actors, {} templates; {merged} merged into others of their voxel; dropped \
+         {}{notes}",
         logs.join(", "),
         built.sources.iter().map(|source| source.frames).sum::<usize>(),
         report.points_read,

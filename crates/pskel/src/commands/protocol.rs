@@ -232,7 +232,8 @@ impl ProtocolArgs {
         let (count, name) = (missing.len(), self.protocol.name());
         let Some(first) = missing.first() else { return Ok(ours) };
         let message = format!(
-            "expected all recordings of {name}, or --other-logs, found that {count} are missing, the first is {first}"
+            "expected all recordings of {name}, or --other-logs, found that {count} are missing, the first \
+                is {first}"
         );
         Err(WrongUsage(message).into())
     }

@@ -31,13 +31,15 @@ pub(crate) struct TownArgs {
     #[arg(long, value_name = "DIR", value_parser = log::output_folder())]
     out: PathBuf,
     /// Annotated frames per second
-    #[arg(long, value_name = "F", default_value_t = TownOptions::default().hz, value_parser = numbers::rate_hz)]
+    #[arg(long, value_name = "F", default_value_t = TownOptions::default().hz,
+        value_parser = numbers::rate_hz)]
     hz: f64,
     /// LiDAR beams: 32 or 64
     #[arg(long, value_name = "N", default_value_t = TownOptions::default().beams)]
     beams: u16,
     /// LiDAR rotations per second: 10 or 20
-    #[arg(long, value_name = "F", default_value_t = TownOptions::default().lidar_hz, value_parser = numbers::rate_hz)]
+    #[arg(long, value_name = "F", default_value_t = TownOptions::default().lidar_hz,
+        value_parser = numbers::rate_hz)]
     lidar_hz: f64,
     /// Size of the images
     #[arg(long, value_name = "HxW", default_value_t = default_size())]

@@ -159,7 +159,8 @@ impl TrainArgs {
             let held = if left < frames { " that are not held out" } else { "" };
             anyhow::ensure!(
                 left >= least,
-                "expected at least {least} frames{held}, the window of the network, found {left}: log {locator}"
+                "expected at least {least} frames{held}, the window of the network, found {left}: log \
+                    {locator}"
             );
         }
         Ok(())
@@ -201,7 +202,8 @@ impl TrainArgs {
         let held = hold_out.map_or(String::new(), |every| format!(" --hold-out {every}"));
         let plain = if *no_augment { " --no-augment" } else { "" };
         format!(
-            "pskel train {logs}{weights}{held}{config} --variants {variants}{plain} --seed {seed} --steps {steps} --batch {batch}"
+            "pskel train {logs}{weights}{held}{config} --variants {variants}{plain} --seed {seed} --steps \
+                {steps} --batch {batch}"
         )
     }
 }

@@ -247,7 +247,8 @@ fn a_log_is_built_and_rendered_with_images_and_without() {
             std::fs::remove_dir_all(made.path("sensors/cameras")).unwrap();
         }
         pskel(root, "build av2:0a1b2c3d --out sk");
-        let render = "render av2:0a1b2c3d --skeleton sk --out out --rasterizer cpu --format npz --splat 100:0 --frames 1..2 --no-default-templates";
+        let render = "render av2:0a1b2c3d --skeleton sk --out out --rasterizer cpu --format npz --splat \
+            100:0 --frames 1..2 --no-default-templates";
         let summary = pskel(root, render);
         assert_eq!(summary.contains("images missing"), !images, "{summary}");
         assert!(summary.contains("7 camera views"), "{summary}");

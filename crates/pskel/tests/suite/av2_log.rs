@@ -275,7 +275,8 @@ pub(crate) fn map() -> Value {
         json!({"id": id, "is_intersection": is_intersection, "lane_type": "VEHICLE",
             "left_lane_boundary": line(&along(left)), "left_lane_mark_type": marks[0],
             "right_lane_boundary": line(&along(left - 4.0)), "right_lane_mark_type": marks[1],
-            "successors": successors, "predecessors": [], "left_neighbor_id": null, "right_neighbor_id": null})
+            "successors": successors, "predecessors": [], "left_neighbor_id": null,
+            "right_neighbor_id": null})
     };
     json!({
         "lane_segments": {
@@ -283,7 +284,8 @@ pub(crate) fn map() -> Value {
             "8": lane(8, false, -2.0, ["DASHED_WHITE", "NONE"], &[]),
             "7": lane(7, true, 2.0, ["NONE", "NONE"], &[99]),
         },
-        "drivable_areas": {"1": {"id": 1, "area_boundary": line(&[[0.0, -6.0], [30.0, -6.0], [30.0, 2.0], [0.0, 2.0]])}},
+        "drivable_areas": {"1": {"id": 1, "area_boundary": line(&[[0.0, -6.0], [30.0, -6.0], [30.0, 2.0],
+        [0.0, 2.0]])}},
         "pedestrian_crossings": {"2": {"id": 2, "edge1": line(&[[20.0, -6.0], [20.0, 2.0]]),
             "edge2": line(&[[23.0, 2.0], [23.0, -6.0]])}},
     })

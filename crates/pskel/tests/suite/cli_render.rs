@@ -73,7 +73,10 @@ fn all_formats_hold_the_same_frames() {
     let frame = &index["frames"][1];
     assert_eq!((&frame["name"], &frame["t_us"]), (&json!("000001"), &json!(FIRST_US + STEP_US)));
     assert_eq!(frame["cameras"], json!(CAMERAS));
-    let actor = |instance, track, category, class| json!({"instance": instance, "track": track, "category": category, "class": class});
+    let actor = |instance, track, category, class| {
+        json!({"instance": instance, "track": track,
+        "category": category, "class": class})
+    };
     let actors = [actor(1, "car", "vehicle.car", 1), actor(2, "cone", "movable_object.trafficcone", 4)];
     assert_eq!(frame["actors"], json!(actors));
     assert_eq!(frame["ego"][0][3], START.x + 1.0);
@@ -165,7 +168,8 @@ fn write_map(log: &TinyLog) {
         .flat_map(|ring| tokens(ring).into_iter().zip(rings[ring]))
         .map(|(token, [x, y])| json!({"token": token, "x": START.x + x, "y": START.y + y}))
         .collect();
-    let map = json!({"node": nodes, "line": [], "lane": [], "stop_line": [], "road_divider": [], "lane_divider": [],
+    let map = json!({"node": nodes, "line": [], "lane": [], "stop_line": [], "road_divider": [],
+        "lane_divider": [],
         "polygon": [
             {"token": "p0", "exterior_node_tokens": tokens(0), "holes": [{"node_tokens": tokens(1)}]},
             {"token": "p2", "exterior_node_tokens": tokens(2), "holes": []}],

@@ -52,7 +52,8 @@ fn state(step: u32) -> Value {
     let actor = |instance: u32, speed_mps: f64| {
         json!({
             "instance": instance, "track": format!("t{instance}"), "category": "vehicle.car", "class": 1,
-            "center_m": [0.0, 0.0, 0.0], "heading_rad": 0.0, "size_m": [4.0, 2.0, 1.5], "speed_mps": speed_mps,
+            "center_m": [0.0, 0.0, 0.0], "heading_rad": 0.0, "size_m": [4.0, 2.0, 1.5],
+            "speed_mps": speed_mps,
             "velocity_mps": [speed_mps, 0.0], "yaw_rate_radps": 0.0, "seen": null, "new_in_view": null,
         })
     };
@@ -61,7 +62,8 @@ fn state(step: u32) -> Value {
         "step": step, "t_us": 7_000_000 + 100_000 * step, "phase": "policy",
         "ego": {
             "global_from_ego": pose, "heading_rad": 0.0, "speed_mps": 0.0, "acceleration_mps2": 0.0,
-            "yaw_rate_radps": 0.0, "steering_rad": 0.0, "lateral_deviation_m": 0.0, "heading_deviation_rad": 0.0,
+            "yaw_rate_radps": 0.0, "steering_rad": 0.0, "lateral_deviation_m": 0.0,
+            "heading_deviation_rad": 0.0,
         },
         "actors": [actor(1, -3.0), actor(2, 0.4)], "lights": [], "driving_command": "straight",
         "plan": null,
@@ -279,7 +281,8 @@ fn what_is_not_known_is_null_and_told() {
     for note in [
         "note: the truth of 15 of 16 steps is not known: a",
         "note: no motion: two steps in a row need truth and instance maps",
-        "note: no patch classifier: expected true images with pixels of vehicles and of others to train on, found 0 and 0",
+        "note: no patch classifier: expected true images with pixels of vehicles and of others to train on, \
+            found 0 and 0",
         "note: no IoU",
         "note: no distance of videos",
     ] {

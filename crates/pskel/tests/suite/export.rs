@@ -172,7 +172,8 @@ fn packages_name_what_they_hold() {
 fn parts_and_later_runs_give_the_bytes_of_one_run() {
     let log = TinyLog::new();
     copy(&log, "log2", "other.scene");
-    let both = "export nuscenes:log nuscenes:log2 --skeletons sks --out-size 32x48 --rasterizer cpu --layout webdataset \
+    let both = "export nuscenes:log nuscenes:log2 --skeletons sks --out-size 32x48 --rasterizer cpu --layout \
+        webdataset \
         --shard-frames 1";
     let listed = log.run(&format!("{both} --out listed --list"));
     let listed = String::from_utf8(listed.stdout).unwrap();
@@ -237,7 +238,8 @@ fn failures_cost_their_own_shards_alone() {
     copy(&log, "unlisted", "unlisted");
     std::fs::remove_file(log.path("bad/v1.0-mini/ego_pose.json")).unwrap();
     std::fs::write(log.path("unlisted/v1.0-mini/sample.json"), "[{").unwrap();
-    let args = "export nuscenes:bad nuscenes:unlisted nuscenes:log --skeletons sks --out out --out-size 32x48 \
+    let args = "export nuscenes:bad nuscenes:unlisted nuscenes:log --skeletons sks --out out --out-size \
+        32x48 \
         --rasterizer cpu --layout webdataset";
     let output = log.run(args);
     let parts = [
@@ -253,7 +255,8 @@ fn failures_cost_their_own_shards_alone() {
     assert!(log.path("out/tiny-000000.tar").exists() && tree(&log.path("out/.unfinished")).is_empty());
 
     // A limit on the size of files, which only the shard of three frames reaches.
-    let export = "export nuscenes:log --skeletons sks --out full --out-size 64x96 --rasterizer cpu --layout webdataset \
+    let export = "export nuscenes:log --skeletons sks --out full --out-size 64x96 --rasterizer cpu --layout \
+        webdataset \
         --format safetensors --frames 0..3 --shard-frames 2";
     let limited = format!("ulimit -f 250; exec {PSKEL} {export}");
     let output = Command::new("bash").current_dir(log.path("")).args(["-c", &limited]).output().unwrap();

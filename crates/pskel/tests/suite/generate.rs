@@ -330,7 +330,8 @@ proptest! {
             let options = options(strategy);
             let mut drive = TrainingClip::new(&options);
             let run = |drive: &TrainingClip| {
-                drive.run(&mut drive.generator(LinearDenoiser { shape: SHAPE }, GaussianNoise { seed }, options))
+                drive.run(&mut drive.generator(LinearDenoiser { shape: SHAPE }, GaussianNoise { seed },
+                options))
             };
             let (frames, caches) = run(&drive);
             let had_forecasts = !drive.forecasts[changed].is_empty();

@@ -10,7 +10,8 @@ use crate::generate::network::{made, weights};
 use crate::simulate::{assert_page_is_whole, built, planner};
 use crate::tiny_log::{CAMERAS, HEIGHT, TinyLog, WIDTH, assert_failed, picture, tree};
 
-const GENERATE: &str = "generate nuscenes:log --skeleton sk --out out --rasterizer cpu --maps color --generator process:./denoiser.sh";
+const GENERATE: &str = "generate nuscenes:log --skeleton sk --out out --rasterizer cpu --maps color \
+    --generator process:./denoiser.sh";
 
 /// Writes the example denoiser as a command without spaces, modified by some lines.
 pub(crate) fn denoiser(log: &TinyLog, lines: &str) {
@@ -64,7 +65,8 @@ fn a_log_s_images_are_made_of_its_conditions() {
     // The color maps of the same frames, rendered by another command.
     log.succeed(
         "render nuscenes:log --skeleton sk --out maps --maps color --size 256x448 --out-size 64x112 \
-         --splat 15:1,100:0 --color-filter visible-area --at 1000000000,1000500000,1001000000 --rasterizer cpu",
+         --splat 15:1,100:0 --color-filter visible-area --at 1000000000,1000500000,1001000000 --rasterizer \
+         cpu",
     );
     for step in 1..3 {
         for camera in CAMERAS {
@@ -147,7 +149,8 @@ fn a_closed_loop_goes_on_to_the_same_bytes() {
     weights(&[made(1, 6)]).write(&log.path("w.safetensors")).unwrap();
     let args = |out: &str| {
         format!(
-            "simulate nuscenes:log --skeleton sk --out {out} --rasterizer cpu --maps color,instance --sim-hz 10 \
+            "simulate nuscenes:log --skeleton sk --out {out} --rasterizer cpu --maps color,instance --sim-hz \
+                10 \
              --plan-hz 5 --ego lane_change --generator network:w.safetensors --window 3 --infer-steps 3"
         )
     };
@@ -235,13 +238,15 @@ def serve(source, out):
                 for quarter in range(4):
                     top, left = 8 * (quarter // 2), 12 * (quarter % 2)
                     at = lambda c, y, x: given[((view * 3 + c) * rows + top + y) * columns + left + x]
-                    values.append(sum(at(c, y, x) for c in range(3) for y in range(8) for x in range(12)) / 288)
+                    values.append(sum(at(c, y, x) for c in range(3) for y in range(8) for x in range(12)) / \
+                    288)
         elif ask == 'decode':
             name, ((views, *_), given) = 'images', tensors['latents']
             shape = [views, 3, 16, 24]
             for view in range(views):
                 for _ in range(3):
-                    values.extend(given[4 * view + 2 * (y // 8) + x // 12] for y in range(16) for x in range(24))
+                    values.extend(given[4 * view + 2 * (y // 8) + x // 12] for y in range(16) for x in \
+                    range(24))
         else:  # Holds the grey of the first frame of the window, which is a reference.
             name, (shape, given) = 'prediction', tensors['latents']
             frame = len(given) // shape[0]
@@ -290,7 +295,8 @@ fn planners_see_what_was_generated_and_not_what_is_true() {
     let town = "town:seed=5,frames=5,size=57x100";
     log.succeed(&format!("build {town} --out town"));
     let simulate = format!(
-        "simulate {town} --skeleton town --maps color --size 57x100 --sim-hz 10 --plan-hz 5 --steps 8 --ego external \
+        "simulate {town} --skeleton town --maps color --size 57x100 --sim-hz 10 --plan-hz 5 --steps 8 --ego \
+            external \
          --planner ./planner.sh --generator process:./denoiser.sh --window 2"
     );
     log.succeed(&format!("{simulate} --out out"));
@@ -353,7 +359,8 @@ fn frames_have_their_captions() {
     let log = built();
     // The prompts of each call as a line.
     let keeps = "import json\nread = denoiser.predict\ndef predict(tensors):\n    return read(tensors)\n\
-                 texts = json.loads\ndef loads(text, *more, **options):\n    value = texts(text, *more, **options)\n    \
+                 texts = json.loads\ndef loads(text, *more, **options):\n    value = texts(text, *more, \
+                 **options)\n    \
                  if isinstance(value, dict) and 'prompts' in value.get('__metadata__', {}):\n        \
                  open('prompts.txt', 'a').write(value['__metadata__']['prompts'] + '\\n')\n    return value\n\
                  json.loads = loads";

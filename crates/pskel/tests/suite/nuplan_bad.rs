@@ -405,7 +405,8 @@ fn what_a_map_leaves_out_is_counted() {
     assert_eq!(told, one("smaller parts of lanes", 2));
     assert_eq!(map.lanes, whole.lanes);
 
-    let copy = "INSERT INTO gen_lane_connectors_scaled_width_polygons SELECT 32, geom, lane_connector_fid FROM \
+    let copy = "INSERT INTO gen_lane_connectors_scaled_width_polygons SELECT 32, geom, lane_connector_fid \
+        FROM \
         gen_lane_connectors_scaled_width_polygons;";
     let (map, told) = notes(copy);
     assert_eq!(told, one("further areas of a lane", 1));

@@ -190,8 +190,10 @@ fn sweep_points(frame: usize) -> Vec<(DVec3, u8)> {
 fn pcd(points: &[(DVec3, u8)]) -> Vec<u8> {
     let n = points.len();
     let header = format!(
-        "# .PCD v0.7 - Point Cloud Data file format\nVERSION 0.7\nFIELDS x y z intensity lidar_info ring\nSIZE 4 4 4 1 1 1\n\
-         TYPE F F F U U U\nCOUNT 1 1 1 1 1 1\nWIDTH {n}\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS {n}\nDATA binary\n"
+        "# .PCD v0.7 - Point Cloud Data file format\nVERSION 0.7\nFIELDS x y z intensity lidar_info \
+            ring\nSIZE 4 4 4 1 1 1\n\
+         TYPE F F F U U U\nCOUNT 1 1 1 1 1 1\nWIDTH {n}\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS {n}\nDATA \
+         binary\n"
     );
     let mut bytes = header.into_bytes();
     for (position, device) in points {
@@ -203,20 +205,28 @@ fn pcd(points: &[(DVec3, u8)]) -> Vec<u8> {
 }
 
 /// Tables of a log, with the columns that are read and some others.
-const SCHEMA: &str = "CREATE TABLE log (token BLOB PRIMARY KEY, vehicle_name, date, timestamp INTEGER, logfile, location, map_version);
+const SCHEMA: &str = "CREATE TABLE log (token BLOB PRIMARY KEY, vehicle_name, date, timestamp INTEGER, \
+    logfile, location, map_version);
          CREATE TABLE category (token BLOB PRIMARY KEY, name, description);
-         CREATE TABLE lidar (token BLOB PRIMARY KEY, log_token, channel, model, translation BLOB, rotation BLOB);
-         CREATE TABLE camera (token BLOB PRIMARY KEY, log_token, channel, model, translation BLOB, rotation BLOB,
+         CREATE TABLE lidar (token BLOB PRIMARY KEY, log_token, channel, model, translation BLOB, rotation \
+         BLOB);
+         CREATE TABLE camera (token BLOB PRIMARY KEY, log_token, channel, model, translation BLOB, rotation \
+         BLOB,
              intrinsic BLOB, distortion BLOB, width FLOAT, height FLOAT);
-         CREATE TABLE ego_pose (token BLOB PRIMARY KEY, timestamp INTEGER, x FLOAT, y FLOAT, z FLOAT, qw FLOAT, qx FLOAT,
+         CREATE TABLE ego_pose (token BLOB PRIMARY KEY, timestamp INTEGER, x FLOAT, y FLOAT, z FLOAT, qw \
+         FLOAT, qx FLOAT,
              qy FLOAT, qz FLOAT, epsg INTEGER);
-         CREATE TABLE scene (token BLOB PRIMARY KEY, log_token, name TEXT, goal_ego_pose_token, roadblock_ids);
-         CREATE TABLE lidar_pc (token BLOB PRIMARY KEY, next_token, prev_token, ego_pose_token, lidar_token, scene_token,
+         CREATE TABLE scene (token BLOB PRIMARY KEY, log_token, name TEXT, goal_ego_pose_token, \
+         roadblock_ids);
+         CREATE TABLE lidar_pc (token BLOB PRIMARY KEY, next_token, prev_token, ego_pose_token, lidar_token, \
+         scene_token,
              filename, timestamp);
-         CREATE TABLE image (token BLOB PRIMARY KEY, next_token, prev_token, ego_pose_token, camera_token, filename_jpg,
+         CREATE TABLE image (token BLOB PRIMARY KEY, next_token, prev_token, ego_pose_token, camera_token, \
+         filename_jpg,
              timestamp);
          CREATE TABLE track (token BLOB PRIMARY KEY, category_token, width FLOAT, length FLOAT, height FLOAT);
-         CREATE TABLE lidar_box (token BLOB PRIMARY KEY, lidar_pc_token, track_token, x FLOAT, y FLOAT, z FLOAT,
+         CREATE TABLE lidar_box (token BLOB PRIMARY KEY, lidar_pc_token, track_token, x FLOAT, y FLOAT, z \
+         FLOAT,
              width FLOAT, length FLOAT, height FLOAT, yaw FLOAT, confidence FLOAT);
          CREATE TABLE scenario_tag (token BLOB PRIMARY KEY, lidar_pc_token, type TEXT, agent_track_token);
          CREATE TABLE traffic_light_status (token BLOB PRIMARY KEY, lidar_pc_token, lane_connector_id INTEGER,
@@ -331,10 +341,12 @@ fn map_tables() -> String {
     let (area, line) = (geometry(true, &ring), geometry(false, &ring[..2]));
     format!(
         "CREATE TABLE meta (id INTEGER PRIMARY KEY, key TEXT, value TEXT);
-         INSERT INTO meta VALUES (1, 'geographicCoordSystem', 'epsg:4326'), (2, 'projectedCoordSystem', 'epsg:32611');
+         INSERT INTO meta VALUES (1, 'geographicCoordSystem', 'epsg:4326'), (2, 'projectedCoordSystem', \
+         'epsg:32611');
          CREATE TABLE gpkg_geometry_columns (table_name TEXT, column_name TEXT);
          INSERT INTO gpkg_geometry_columns VALUES ('lanes_polygons', 'geom'), ('lane_connectors', 'geom'),
-             ('gen_lane_connectors_scaled_width_polygons', 'geom'), ('baseline_paths', 'geom'), ('boundaries', 'geom'),
+             ('gen_lane_connectors_scaled_width_polygons', 'geom'), ('baseline_paths', 'geom'), \
+             ('boundaries', 'geom'),
              ('crosswalks', 'geom'), ('stop_polygons', 'geom'), ('generic_drivable_areas', 'geom'),
              ('lane_groups_polygons', 'geom'), ('intersections', 'geom'), ('carpark_areas', 'geom'),
              ('walkways', 'geom');
@@ -342,7 +354,8 @@ fn map_tables() -> String {
          INSERT INTO lanes_polygons VALUES (11, {area}, 11), (12, {area}, 12);
          CREATE TABLE lane_connectors (fid INTEGER PRIMARY KEY, geom BLOB, exit_lane_fid, entry_lane_fid);
          INSERT INTO lane_connectors VALUES (21, {line}, 11.0, '12');
-         CREATE TABLE gen_lane_connectors_scaled_width_polygons (fid INTEGER PRIMARY KEY, geom BLOB, lane_connector_fid);
+         CREATE TABLE gen_lane_connectors_scaled_width_polygons (fid INTEGER PRIMARY KEY, geom BLOB, \
+         lane_connector_fid);
          INSERT INTO gen_lane_connectors_scaled_width_polygons VALUES (31, {area}, 21);
          CREATE TABLE baseline_paths (fid INTEGER PRIMARY KEY, geom BLOB, lane_fid, lane_connector_fid);
          INSERT INTO baseline_paths VALUES (41, {line}, 11, NULL), (42, {line}, NULL, 21);

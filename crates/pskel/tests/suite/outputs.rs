@@ -14,7 +14,8 @@ use crate::tiny_log::{PSKEL, TinyLog, assert_failed, tree, with_default_signals}
 const RENDER: &str = "render nuscenes:log --skeleton sk --out out --maps depth --rasterizer cpu";
 const SIMULATE: &str =
     "simulate nuscenes:log --skeleton sk --out out --maps depth --rasterizer cpu --steps 2";
-const EXTERNAL: &str = "simulate nuscenes:log --skeleton sk --out out --maps depth --rasterizer cpu --steps 20 \
+const EXTERNAL: &str = "simulate nuscenes:log --skeleton sk --out out --maps depth --rasterizer cpu --steps \
+    20 \
     --ego external --planner ./planner.sh --planner-timeout 600";
 const TOWN: &str = "town --seed 5 --frames 2 --size 57x100 --out out";
 const TEMPLATES: &str = "templates sk --min-points 1 --out out";
@@ -132,7 +133,8 @@ fn inputs_are_not_overwritten() {
     log.succeed(SIMULATE);
     log.succeed("convert sk --out clouds");
     std::fs::copy(log.path("clouds/background.npy"), log.path("p.npy")).unwrap();
-    let camera = r#"{"cameras": [{"name": "a", "width": 8, "height": 8, "intrinsics": [[8, 0, 4], [0, 8, 4], [0, 0, 1]],
+    let camera = r#"{"cameras": [{"name": "a", "width": 8, "height": 8,
+    "intrinsics": [[8, 0, 4], [0, 8, 4], [0, 0, 1]],
         "camera_from_world": [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]}]}"#;
     std::fs::write(log.path("c.json"), camera).unwrap();
     std::fs::write(log.path("a.json"), r#"{"city": "Boston"}"#).unwrap();
@@ -310,7 +312,8 @@ fn a_rollout_without_a_step_resumes_from_the_start() {
         }
         if left.contains("states") {
             std::fs::write(log.path("out/states.jsonl"), "").unwrap();
-            std::fs::create_dir(log.path("out/steps")).unwrap(); // before the first step's folder was renamed into it
+            // Before the first step's folder was renamed into it.
+            std::fs::create_dir(log.path("out/steps")).unwrap();
         }
         std::fs::remove_dir_all(old).unwrap();
         let output = log.run(&format!("{SIMULATE} --resume"));

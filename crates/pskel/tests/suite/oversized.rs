@@ -61,8 +61,10 @@ fn corners_that_many_records_share_are_refused() {
     let map = |areas: usize| {
         let corners = ["a", "b", "c"].repeat(100);
         json!({
-            "node": [{"token": "a", "x": 0, "y": 0}, {"token": "b", "x": 9, "y": 0}, {"token": "c", "x": 9, "y": 9}],
-            "polygon": [{"token": "p", "exterior_node_tokens": corners}], "line": [], "lane": [], "ped_crossing": [],
+            "node": [{"token": "a", "x": 0, "y": 0}, {"token": "b", "x": 9, "y": 0}, {"token": "c", "x": 9,
+            "y": 9}],
+            "polygon": [{"token": "p", "exterior_node_tokens": corners}], "line": [], "lane": [],
+            "ped_crossing": [],
             "drivable_area": [{"token": "d", "polygon_tokens": vec!["p"; areas]}], "stop_line": [],
             "road_divider": [], "lane_divider": [],
         })

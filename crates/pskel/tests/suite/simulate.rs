@@ -259,7 +259,9 @@ pub(crate) fn planner(log: &TinyLog, lines: &str) {
 read -r hello
 echo '{{"protocol": "pskel-planner", "version": 1}}'
 answer() {{
-    echo '{{"frame": "ego", "trajectory": [{{"t": 0.5, "x": 1, "y": 0, "heading": 0, "v": 2}}, {{"t": 1, "x": 2, "y": 0, "heading": 0, "v": 2}}]}}'
+    half='{{"t": 0.5, "x": 1, "y": 0, "heading": 0, "v": 2}}'
+    one='{{"t": 1, "x": 2, "y": 0, "heading": 0, "v": 2}}'
+    echo "{{\"frame\": \"ego\", \"trajectory\": [$half, $one]}}"
 }}
 {lines}
 "#

@@ -224,7 +224,9 @@ fn a_failed_rollout_has_its_file() {
     planner(
         &log,
         r#"read -r observation
-echo '{"frame": "ego", "trajectory": [{"t": 0.5, "x": 30, "y": 0, "heading": 0, "v": 60}, {"t": 1, "x": 60, "y": 0, "heading": 0, "v": 60}]}'
+half='{"t": 0.5, "x": 30, "y": 0, "heading": 0, "v": 60}'
+one='{"t": 1, "x": 60, "y": 0, "heading": 0, "v": 60}'
+echo "{\"frame\": \"ego\", \"trajectory\": [$half, $one]}"
 read -r observation
 exit 3"#,
     );

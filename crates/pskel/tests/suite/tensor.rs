@@ -186,7 +186,8 @@ fn tensors_are_no_images_and_need_one_size() {
     let camera = |name: &str, width: u32| {
         let pose = [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]];
         let intrinsics = [[20, 0, 10], [0, 20, 10], [0, 0, 1]];
-        json!({"name": name, "width": width, "height": 20, "intrinsics": intrinsics, "camera_from_world": pose})
+        json!({"name": name, "width": width, "height": 20, "intrinsics": intrinsics,
+        "camera_from_world": pose})
     };
     let cameras = json!({"cameras": [camera("a", 20), camera("b", 24)]});
     std::fs::write(log.path("c.json"), cameras.to_string()).unwrap();

@@ -213,7 +213,8 @@ fn tables() -> Vec<(&'static str, Value)> {
             "translation": [0, 0, LIDAR_Z], "camera_intrinsic": []}),
         name => {
             let yaw = if name == CAMERAS[0] { 0.0 } else { std::f64::consts::PI };
-            json!({"token": format!("c{name}"), "sensor_token": name, "rotation": rotation(camera_rotation(yaw)),
+            json!({"token": format!("c{name}"), "sensor_token": name,
+            "rotation": rotation(camera_rotation(yaw)),
                 "translation": [0, 0, CAMERA_Z], "camera_intrinsic": INTRINSICS})
         }
     };

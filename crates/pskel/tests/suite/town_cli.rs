@@ -99,7 +99,10 @@ fn a_town_goes_through_all_commands() {
         log.path("out/maps/000000/sheet.png").is_file()
             && log.path("out/maps/000000/CAM_BACK/map.png").is_file()
     );
-    let output = log.run(&format!("fidelity {town} --skeleton out/sk --frames 0..1 --json out/f.json --markdown out/f.md --csv out/f.csv"));
+    let output = log.run(&format!(
+        "fidelity {town} --skeleton out/sk --frames 0..1 --json out/f.json \
+        --markdown out/f.md --csv out/f.csv"
+    ));
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     let rows = log.json("out/f.json")["poses"].as_array().unwrap().clone();
     assert_eq!((rows.len(), &rows[0]["pose"], &rows[0]["images"]), (8, &"as driven".into(), &6.into()));

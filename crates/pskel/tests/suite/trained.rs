@@ -12,7 +12,8 @@ use crate::tiny_log::{PSKEL, assert_failed, tree};
 /// A small town that is quick to generate.
 const TOWN: &str = "town:seed=5,frames=5,size=57x100";
 const CONFIG: &str = r#"{
-    "recipe": {"drawn": "32x64", "size": "16x32"}, "frames": 2, "channels": [16, 16, 16, 16], "width": 32, "head": 16, "hidden": 32, "blocks": ["s", "t"]
+    "recipe": {"drawn": "32x64", "size": "16x32"}, "frames": 2, "channels": [16, 16, 16, 16],
+    "width": 32, "head": 16, "hidden": 32, "blocks": ["s", "t"]
 }"#;
 
 fn command(folder: &Path, args: &str) -> Command {
@@ -35,7 +36,8 @@ fn json(path: &Path) -> Value {
 
 fn train(out: &str) -> String {
     format!(
-        "train {TOWN} --config net.json --drives drives --variants 2 --steps 6 --checkpoint 2 --batch 1 --out {out}"
+        "train {TOWN} --config net.json --drives drives --variants 2 --steps 6 --checkpoint 2 --batch 1 \
+            --out {out}"
     )
 }
 
@@ -52,7 +54,8 @@ fn towns_become_weights_images_scores_and_tables() {
     goes_on(folder, &trained);
 
     succeed(folder, &format!("build {TOWN} --out sk"));
-    let maps = "--skeleton sk --size 32x64 --maps color,class,instance --generator network:trained/weights.safetensors";
+    let maps = "--skeleton sk --size 32x64 --maps color,class,instance --generator \
+        network:trained/weights.safetensors";
     succeed(folder, &format!("generate {TOWN} {maps} --out images"));
     let told = succeed(folder, "evaluate images --out scores.json");
     assert!(told.contains("scored 24 images of 1 rollout"), "{told}");
@@ -129,7 +132,8 @@ fn shipped(folder: &Path) {
 /// Holes of color maps are filled from an ego that is moved; the town has the truth there.
 fn filled(folder: &Path) {
     let fill = format!(
-        "generate {TOWN} --skeleton sk --generator fill --maps color --ego-offset left_m=2,yaw_deg=5 --out filled"
+        "generate {TOWN} --skeleton sk --generator fill --maps color --ego-offset left_m=2,yaw_deg=5 --out \
+            filled"
     );
     assert!(succeed(folder, &fill).contains("2 frames generated"));
     std::fs::write(folder.join("coarse.json"), r#"{"splat": "100:3"}"#).unwrap();
@@ -192,7 +196,8 @@ fn compared(folder: &Path) {
     assert!(result["numbers"]["psnr_db"].as_f64() > Some(5.0), "{result}");
     // Noise on the history changes causal alone.
     let noisy = format!(
-        "ablate nuscenes:log --weights {weights} --tables strategies --steps 2 --history-noise 900 --ahead 1 --out noisy"
+        "ablate nuscenes:log --weights {weights} --tables strategies --steps 2 --history-noise 900 --ahead 1 \
+            --out noisy"
     );
     succeed(folder, &noisy);
     let psnr = |out: &str, row: &str| {

@@ -220,7 +220,8 @@ fn files_of_all_kinds_are_regular() {
     let folder = log.path("");
     log.succeed(&format!("{BUILD} --voxel 0.5"));
     std::fs::rename(log.path("new"), log.path("sk")).unwrap();
-    let camera = json!({"name": "own", "width": 32, "height": 16, "intrinsics": [[16, 0, 16], [0, 16, 8], [0, 0, 1]],
+    let camera = json!({"name": "own", "width": 32, "height": 16, "intrinsics": [[16, 0, 16], [0, 16, 8], [0,
+        0, 1]],
         "camera_from_world": [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]});
     std::fs::write(log.path("c.json"), json!({"cameras": [camera]}).to_string()).unwrap();
     let cpu = "--skeleton sk --rasterizer cpu --out out";

@@ -30,7 +30,8 @@ pub enum VideoError {
     #[error(transparent)]
     File(#[from] FileError),
     /// A size that cannot be encoded, or that differs from the first one.
-    #[error("expected pictures of one even size up to {MAX_SIDE_PX}x{MAX_SIDE_PX} pixels, found {found}: {}", path.display())]
+    #[error("expected pictures of one even size up to {MAX_SIDE_PX}x{MAX_SIDE_PX} pixels, found {found}: \
+        {}", path.display())]
     Size {
         /// The rejected size.
         found: ImageSize,

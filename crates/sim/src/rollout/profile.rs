@@ -148,7 +148,8 @@ impl Profile {
         }
         let ms = |name: &str| 1e3 * self.medians.get(name).copied().unwrap_or(0.0);
         format!(
-            "{made} frames generated, median {:.0} ms ({:.2} a second): network {:.0}, conditions {:.0}, forecasts {:.0}, images \
+            "{made} frames generated, median {:.0} ms ({:.2} a second): network {:.0}, conditions {:.0}, \
+                forecasts {:.0}, images \
              {:.1}, and {:.0} for true images; ",
             ms("generate_s"),
             1e3 / ms("generate_s").max(1e-6),

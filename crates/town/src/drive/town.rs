@@ -146,7 +146,8 @@ fn describe(options: &TownOptions) -> String {
     let TownOptions { seed, hz, lidar_hz, beams, size: [height, width], .. } = options;
     let light = options.light();
     format!(
-        "A drive in a made town of seed {seed}, {light}, {hz} frames a second of {height}x{width} pixels, LiDAR of {beams} \
+        "A drive in a made town of seed {seed}, {light}, {hz} frames a second of {height}x{width} pixels, \
+            LiDAR of {beams} \
          beams at {lidar_hz} Hz"
     )
 }

@@ -30,7 +30,8 @@ fn sensor(name: &str, rig: &RigCamera) -> Value {
             // Pixels are wider than high by this factor.
             "linear-c": (fx / fy).to_string(), "linear-d": "0", "linear-e": "0",
         },
-        "nominalSensor2Rig_FLU": { "t": rig.ego_from_camera.translation.to_array(), "roll-pitch-yaw": degrees },
+        "nominalSensor2Rig_FLU": { "t": rig.ego_from_camera.translation.to_array(),
+        "roll-pitch-yaw": degrees },
         "correction_sensor_R_FLU": none, "correction_rig_T": [0.0, 0.0, 0.0],
     })
 }

@@ -262,7 +262,8 @@ fn xyz(name: &str) -> String {
 
 fn xyzw(name: &str) -> String {
     format!(
-        "required group {name} {{ required double x; required double y; required double z; required double w; }}"
+        "required group {name} {{ required double x; required double y; required double z; required double \
+            w; }}"
     )
 }
 

@@ -24,7 +24,8 @@ use crate::{WrongUsage, logs, tell, tell_notes, warn};
 pub(crate) struct BenchArgs {
     /// Recording whose frames are rendered in turn: FORMAT:PATH[@VERSION][#SCENE], like
     /// nuscenes:/data/nuscenes#scene-0061
-    #[arg(value_parser = log::log, requires = "skeleton", conflicts_with_all = ["synthetic", "seed", "points", "cameras"])]
+    #[arg(value_parser = log::log, requires = "skeleton", conflicts_with_all = ["synthetic", "seed",
+        "points", "cameras"])]
     log: Option<LogLocator>,
     /// Skeleton that was built from the recording
     #[arg(long, value_name = "SKEL", requires = "log")]

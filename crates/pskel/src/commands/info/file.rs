@@ -19,7 +19,8 @@ pub(super) fn describe(path: &Path) -> anyhow::Result<Value> {
             json!({"kind": "image", "size": format!("{height}x{width}")})
         }
         _ => anyhow::bail!(
-            "expected a file ending in .npy, .ply, .pcd.bin, .pcd, .feather, .json, .jpg or .png, found {name:?}: {}",
+            "expected a file ending in .npy, .ply, .pcd.bin, .pcd, .feather, .json, .jpg or .png, found \
+                {name:?}: {}",
             path.display()
         ),
     };
@@ -69,7 +70,8 @@ fn camera_file(path: &Path) -> anyhow::Result<Value> {
     let cameras = cloud::cameras::read(path)?;
     let camera = |v: &point_skeleton::geometry::View| {
         let c = &v.camera;
-        json!({"name": c.name, "size": format!("{}x{}", c.height, c.width), "focal_px": c.intrinsics.x_axis.x})
+        json!({"name": c.name, "size": format!("{}x{}", c.height, c.width),
+        "focal_px": c.intrinsics.x_axis.x})
     };
     Ok(json!({"kind": "cameras", "cameras": cameras.iter().map(camera).collect::<Vec<_>>()}))
 }

@@ -25,7 +25,7 @@ pub(crate) use skeleton::dropped;
 /// a few sweeps. Missing and damaged files are named, and the exit code is then 1.
 #[derive(Debug, Args)]
 pub(crate) struct InfoArgs {
-    /// [FORMAT:]PATH[@VERSION][#SCENE], a folder of a skeleton or of templates, or a file (.pcd.bin, .pcd, .feather,
+    /// [FORMAT:]PATH[@VERSION][#SCENE], a folder of a skeleton or templates, or a file (.pcd.bin, .pcd, .feather,
     /// .npy, .ply, .json cameras, JPEG, PNG)
     #[arg(value_name = "LOG|SKELETON|FILE")]
     target: String,
@@ -89,7 +89,8 @@ fn describe(target: &str, roots: &LogRoots) -> anyhow::Result<(Value, String)> {
     }
     let found = what_is_there(&path);
     bail!(
-        "expected a log (its path, or FORMAT:PATH, like nuscenes:PATH or town:), a skeleton's folder or a file, found {found}: {target}"
+        "expected a log (its path, or FORMAT:PATH, like nuscenes:PATH or town:), a skeleton's folder or a \
+            file, found {found}: {target}"
     )
 }
 

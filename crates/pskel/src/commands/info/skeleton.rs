@@ -22,9 +22,11 @@ pub(super) fn describe(skeleton: &Skeleton) -> Value {
         "background": {
             "points": manifest.background_points(),
             "chunks": manifest.background.len(),
-            "bounds": manifest.background_bounds().map(|[min, max]| json!({"min": min.to_array(), "max": max.to_array()})),
+            "bounds": manifest.background_bounds().map(|[min, max]| json!({"min": min.to_array(),
+            "max": max.to_array()})),
         },
-        "actors": {"count": manifest.actors.len(), "points": manifest.actor_points(), "categories": manifest.categories()},
+        "actors": {"count": manifest.actors.len(), "points": manifest.actor_points(),
+            "categories": manifest.categories()},
         "templates": templates,
         "report": manifest.report,
         "options": manifest.options,

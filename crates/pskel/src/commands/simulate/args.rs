@@ -360,7 +360,8 @@ impl SimulateArgs {
             return Ok(());
         }
         let message = format!(
-            "expected {references} steps or more with --dataset, since the first {references} frames are references, found {steps}"
+            "expected {references} steps or more with --dataset, since the first {references} frames are \
+                references, found {steps}"
         );
         Err(WrongUsage(message))
     }

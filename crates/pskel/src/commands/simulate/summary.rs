@@ -66,7 +66,8 @@ fn comfort(comfort: &Comfort) -> String {
     let most = |values: Option<Range>| range(values).into_iter().map(f64::abs).fold(0.0, f64::max);
     let [brake, speed_up] = range(comfort.longitudinal_mps2);
     format!(
-        "not comfortable ({brake:.1} to {speed_up:.1} m/s\u{b2} along, {:.1} m/s\u{b2} across, jerk {:.1} m/s\u{b3}, \
+        "not comfortable ({brake:.1} to {speed_up:.1} m/s\u{b2} along, {:.1} m/s\u{b2} across, jerk {:.1} \
+            m/s\u{b3}, \
          yaw rate {:.2} rad/s)",
         most(comfort.lateral_mps2),
         comfort.max_jerk_mps3,
@@ -126,7 +127,8 @@ mod tests {
         };
         assert_eq!(
             comfort(&rough),
-            "not comfortable (-5.1 to 1.0 m/s\u{b2} along, 2.0 m/s\u{b2} across, jerk 9.0 m/s\u{b3}, yaw rate 0.50 rad/s)"
+            "not comfortable (-5.1 to 1.0 m/s\u{b2} along, 2.0 m/s\u{b2} across, jerk 9.0 m/s\u{b3}, yaw \
+                rate 0.50 rad/s)"
         );
     }
 }

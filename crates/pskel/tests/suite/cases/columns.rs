@@ -307,7 +307,8 @@ fn read(made: &Made) -> Result<Sweep, String> {
 fn write_devices(path: &Path, device: impl Fn(usize) -> u8) {
     let n = 32 * 400;
     let header = format!(
-        "# .PCD v0.7\nVERSION 0.7\nFIELDS x y z intensity lidar_info ring\nSIZE 4 4 4 1 1 1\nTYPE F F F U U U\n\
+        "# .PCD v0.7\nVERSION 0.7\nFIELDS x y z intensity lidar_info ring\nSIZE 4 4 4 1 1 1\nTYPE F F F U U \
+            U\n\
          COUNT 1 1 1 1 1 1\nWIDTH {n}\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS {n}\nDATA binary\n"
     );
     let mut file = header.into_bytes();

@@ -12,7 +12,8 @@ use crate::tiny_log::{PSKEL, TinyLog, assert_failed, tree};
 
 const SIMULATE: &str =
     "simulate nuscenes:log --skeleton sk --out rollout --maps depth --rasterizer cpu --steps 1";
-const GENERATE: &str = "generate nuscenes:log --skeleton sk --every 1 --generator fill --window 2 --maps color,depth,class \
+const GENERATE: &str = "generate nuscenes:log --skeleton sk --every 1 --generator fill --window 2 --maps \
+    color,depth,class \
     --rasterizer cpu";
 
 /// Runs a command as a user who may not write to the folder `ro`; `None` where there is no other user.
@@ -128,7 +129,8 @@ fn rollouts_without_a_step_are_not_resumed() {
     std::fs::remove_dir_all(log.path("rollout/steps/000000")).unwrap();
     let before = tree(&log.path("rollout"));
     let output = log.run(&format!("{} --resume", SIMULATE.replace("--steps 1", "--steps 2")));
-    let expected = "expected the folder of a step to resume after, or a rollout without --resume, found none: \
+    let expected = "expected the folder of a step to resume after, or a rollout without --resume, found \
+        none: \
         rollout/steps/000000";
     assert_failed(&output, 1, &[expected]);
     assert!(tree(&log.path("rollout")) == before);
@@ -139,11 +141,13 @@ fn rollouts_without_a_step_are_not_resumed() {
 fn trainings_that_cannot_begin_record_nothing() {
     let log = TinyLog::new();
     for (name, frames) in [("net.json", 2), ("three.json", 3)] {
-        let network = json!({"recipe": {"drawn": "32x64", "size": "16x32"}, "frames": frames, "width": 32, "head": 16,
+        let network = json!({"recipe": {"drawn": "32x64", "size": "16x32"}, "frames": frames, "width": 32,
+            "head": 16,
             "hidden": 32, "blocks": ["s", "t"]});
         std::fs::write(log.path(name), network.to_string()).unwrap();
     }
-    let train = "train nuscenes:log --variants 1 --batch 1 --config net.json --checkpoint 1 --steps 2 --rasterizer cpu --out tr";
+    let train = "train nuscenes:log --variants 1 --batch 1 --config net.json --checkpoint 1 --steps 2 \
+        --rasterizer cpu --out tr";
     for (args, code, part) in [
         (
             train.replace("--config net.json ", ""),
@@ -153,7 +157,8 @@ fn trainings_that_cannot_begin_record_nothing() {
         (
             format!("{train} --hold-out 2").replace("net.json", "three.json"),
             1,
-            "expected at least 3 frames that are not held out, the window of the network, found 2: log nuscenes:log",
+            "expected at least 3 frames that are not held out, the window of the network, found 2: log \
+                nuscenes:log",
         ),
         (format!("{train} --drives ./tr"), 2, "expected two folders for --out and --drives, found ./tr"),
     ] {

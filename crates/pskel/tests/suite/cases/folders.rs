@@ -163,7 +163,8 @@ fn folders_of_an_image_layer_are_replaced() {
         let script = format!(
             "mkdir lower upper work merged; mv log sk lower; cd lower; $PSKEL {first} >&2; cd ..
             mount -t overlay overlay -o lowerdir=lower,upperdir=upper,workdir=work,userxattr merged || exit 77
-            cd merged; $PSKEL {second}; rm -rf ../seen; cp -a out ../seen; ls -A > ../left; cd ..; umount merged"
+            cd merged; $PSKEL {second}; rm -rf ../seen; cp -a out ../seen; ls -A > ../left; cd ..; umount \
+            merged"
         );
         let Some(output) = in_namespace(&log, &script) else { return };
         assert_success(&output, second);
@@ -217,7 +218,8 @@ fn volumes_of_read_only_containers_are_filled() {
     let build = BUILD.replace("--out out", "--out root/out");
     let script = format!(
         "mkdir -p disk root/out; mount --bind disk root/out
-        $PSKEL {build}; test ! -e root/out.partial; cd root/out; $PSKEL convert ../../sk --out . 2> ../../said && exit 9
+        $PSKEL {build}; test ! -e root/out.partial; cd root/out; $PSKEL convert ../../sk --out . 2> \
+        ../../said && exit 9
         cd ../..; umount root/out; ls -A root"
     );
     let Some(output) = in_namespace(&log, &script) else { return };
@@ -231,7 +233,8 @@ fn volumes_of_read_only_containers_are_filled() {
     // Nothing can be created beside the output.
     std::fs::remove_dir_all(log.path("disk")).unwrap();
     let script = format!(
-        "mkdir disk; mount --bind root root; mount --bind disk root/out; mount -o remount,bind,ro root || exit 77
+        "mkdir disk; mount --bind root root; mount --bind disk root/out; mount -o remount,bind,ro root || \
+            exit 77
         ! touch root/x 2>/dev/null; $PSKEL {build}; $PSKEL {build}"
     );
     let Some(output) = in_namespace(&log, &script) else { return };
@@ -262,7 +265,8 @@ fn foreign_files_in_a_mount_point_stay() {
 fn lists_of_a_mount_point_lead_nowhere_else() {
     let log = ready();
     let script = format!(
-        "mkdir out; mount -t tmpfs tmpfs out; $PSKEL {BUILD}; echo mine > victim; echo ../victim >> out/.pskel-files
+        "mkdir out; mount -t tmpfs tmpfs out; $PSKEL {BUILD}; echo mine > victim; echo ../victim >> \
+            out/.pskel-files
         ! $PSKEL {BUILD} 2> said; cat victim; umount out"
     );
     let Some(output) = in_namespace(&log, &script) else { return };
@@ -279,7 +283,8 @@ fn shards_reach_into_mount_points() {
     let args =
         "export nuscenes:log --skeletons sks --out out --out-size 32x48 --rasterizer cpu --layout pas-cache";
     let script = format!(
-        "$PSKEL {args}; cp -a out first; rm -r out/proj_clr; mkdir out/proj_clr; mount -t tmpfs tmpfs out/proj_clr
+        "$PSKEL {args}; cp -a out first; rm -r out/proj_clr; mkdir out/proj_clr; mount -t tmpfs tmpfs \
+            out/proj_clr
         $PSKEL {args}; cp -a out second; umount out/proj_clr"
     );
     let Some(output) = in_namespace(&log, &script) else { return };

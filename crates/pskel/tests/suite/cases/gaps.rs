@@ -46,7 +46,8 @@ pub(super) fn assert_policy(folder: &Path, log: &str, note: &str, named: &str, i
     for command in [
         format!("build {log} --out strict --missing error"),
         format!(
-            "render {log} --skeleton policy --out strict --missing error --frames 0..1 --maps depth --size 8x12 \
+            "render {log} --skeleton policy --out strict --missing error --frames 0..1 --maps depth --size \
+                8x12 \
              --rasterizer cpu"
         ),
     ] {
@@ -256,11 +257,13 @@ fn case_one_file_missing() {
         // Every command that reads the log goes on without the part.
         let few = "--maps color --out-size 56x100 --rasterizer cpu";
         case.succeed(&format!(
-            "export nuscenes:in/{variant} --layout webdataset --skeletons out/sk-{variant} --out out/shards-{variant} \
+            "export nuscenes:in/{variant} --layout webdataset --skeletons out/sk-{variant} --out \
+                out/shards-{variant} \
              --frames 0..1 {few}"
         ));
         case.succeed(&format!(
-            "simulate nuscenes:in/{variant} --skeleton out/{variant} --out out/rollout-{variant} --steps 1 {few}"
+            "simulate nuscenes:in/{variant} --skeleton out/{variant} --out out/rollout-{variant} --steps 1 \
+                {few}"
         ));
     }
 }

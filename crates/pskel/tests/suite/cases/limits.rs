@@ -84,7 +84,8 @@ fn few_processes_are_refused_in_one_line() {
         for processes in [1, 3, 4, 5, 6, 8, 10, 14] {
             let Some(group) = FewProcesses::new(processes) else { return skip("control groups") };
             let script = format!(
-                "echo $$ > {}/cgroup.procs; exec {PSKEL} render {LOG} --skeleton sk --out out/{kind}{processes} --frames 0..1 \
+                "echo $$ > {}/cgroup.procs; exec {PSKEL} render {LOG} --skeleton sk --out \
+                    out/{kind}{processes} --frames 0..1 \
                  --out-size 14x25 --rasterizer {kind}",
                 group.0.display()
             );
@@ -95,7 +96,8 @@ fn few_processes_are_refused_in_one_line() {
         }
     }
     let Some(group) = FewProcesses::new(5) else { return skip("control groups") };
-    let planner = "simulate nuscenes:log@v1.0-mini --skeleton sk --out out/sim --steps 1 --dry --ego external --planner cat";
+    let planner = "simulate nuscenes:log@v1.0-mini --skeleton sk --out out/sim --steps 1 --dry --ego \
+        external --planner cat";
     let output = run_within_time(
         &log.path(""),
         &format!("echo $$ > {}/cgroup.procs; exec {PSKEL} {planner}", group.0.display()),
@@ -150,7 +152,10 @@ fn few_open_files_do_not_spoil_an_output() {
 /// Writes cameras of a size, as in files of `--cameras`.
 fn write_cameras(log: &TinyLog, count: usize, side: u32) {
     let pose = [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]];
-    let camera = |i: usize| json!({"name": format!("c{i}"), "width": side, "height": side, "intrinsics": INTRINSICS, "camera_from_world": pose});
+    let camera = |i: usize| {
+        json!({"name": format!("c{i}"), "width": side, "height": side,
+        "intrinsics": INTRINSICS, "camera_from_world": pose})
+    };
     let cameras: Vec<_> = (0..count).map(camera).collect();
     std::fs::write(log.path("cameras.json"), json!({"cameras": cameras}).to_string()).unwrap();
 }
@@ -261,7 +266,8 @@ fn recipes_of_huge_images_are_refused_with_the_number() {
     ] {
         std::fs::write(log.path("recipe.json"), recipe.to_string()).unwrap();
         let args = format!(
-            "generate {LOG} --skeleton sk --generator fill --recipe recipe.json --out out/images --rasterizer cpu"
+            "generate {LOG} --skeleton sk --generator fill --recipe recipe.json --out out/images \
+                --rasterizer cpu"
         );
         let mut command = Command::new(PSKEL);
         let output = command
@@ -292,13 +298,15 @@ fn declared_sizes_are_compared_with_the_address_space() {
     let log = log_with_skeleton();
     write_cameras(&log, 1, 64);
     write_sparse(&log, "a.npy", &npy_header("<f8", 500_000_000, 6), 500_000_000 * 48);
-    let ply = "ply\nformat binary_little_endian 1.0\nelement vertex 1000000000\nproperty float x\nproperty float y\n\
+    let ply = "ply\nformat binary_little_endian 1.0\nelement vertex 1000000000\nproperty float x\nproperty \
+        float y\n\
         property float z\nend_header\n";
     write_sparse(&log, "a.ply", ply.as_bytes(), 12_000_000_000);
     write_sparse(&log, "features.npy", &npy_header("<f4", 1_000_000, 10_000), 40_000_000_000);
     write_sparse(&log, "wide.npy", &npy_header("<f4", 20_000, 10_000), 800_000_000);
     let generate = format!(
-        "generate {LOG} --skeleton sk --every 1 --generator fill --window 2 --maps color,depth,class --rasterizer cpu \
+        "generate {LOG} --skeleton sk --every 1 --generator fill --window 2 --maps color,depth,class \
+            --rasterizer cpu \
          --out rollout"
     );
     let output = log.run(&generate);

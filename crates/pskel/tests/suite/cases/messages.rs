@@ -252,7 +252,10 @@ fn json_options_name_field_and_value() {
     log.succeed("build nuscenes:log --out sk");
     let path = |content: &str| {
         std::fs::write(log.path("path.json"), content).unwrap();
-        log.run("simulate nuscenes:log --skeleton sk --out run --ego file --trajectory path.json --steps 2 --rasterizer cpu")
+        log.run(
+            "simulate nuscenes:log --skeleton sk --out run --ego file --trajectory path.json --steps 2 \
+            --rasterizer cpu",
+        )
     };
     let expected = "expected a list of [x, y] or {\"points\": [[x, y], ..]}, found ";
     for (content, found) in [
@@ -331,9 +334,11 @@ fn values_of_recipes_and_large_maps_are_named() {
     log.succeed("build nuscenes:log --out sk");
     std::fs::write(log.path("recipe.json"), r#"{"size": "1600"}"#).unwrap();
     let output = log.run(
-        "generate nuscenes:log --skeleton sk --out new --generator fill --recipe recipe.json --maps color --rasterizer cpu",
+        "generate nuscenes:log --skeleton sk --out new --generator fill --recipe recipe.json --maps color \
+            --rasterizer cpu",
     );
-    let found = r#"expected a recipe of conditions, found "1600" instead of a size HxW of 1 to 16384 pixels, like 256x448 in size"#;
+    let found = "expected a recipe of conditions, found \"1600\" instead of a size HxW of 1 to 16384 pixels, \
+                 like 256x448 in size";
     assert_failed(&output, 1, &[found, "recipe.json"]);
     let mut render = Command::new(PSKEL);
     render.current_dir(log.path("")).env("PSKEL_MEMORY", "1G");

@@ -10,7 +10,8 @@ const SIMULATE: &str =
 const RENDER: &str = "render nuscenes:log --skeleton sk --out out --maps depth --rasterizer cpu";
 pub(super) const EXPORT: &str =
     "export nuscenes:log --skeletons sks --out out --out-size 32x48 --rasterizer cpu";
-const CAMERAS: &str = r#"{"cameras": [{"name": "a", "width": 8, "height": 8, "intrinsics": [[8, 0, 4], [0, 8, 4], [0, 0, 1]],
+const CAMERAS: &str = r#"{"cameras": [{"name": "a", "width": 8, "height": 8,
+    "intrinsics": [[8, 0, 4], [0, 8, 4], [0, 0, 1]],
     "camera_from_world": [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]}]}"#;
 
 /// Returns a log with a skeleton and the files that commands read, without a folder `out`.

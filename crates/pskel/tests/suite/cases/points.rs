@@ -69,7 +69,8 @@ impl Case {
         let camera = json!({
             "name": "c", "width": 64, "height": 48,
             "intrinsics": [[50.0, 0.0, 32.0], [0.0, 50.0, 24.0], [0.0, 0.0, 1.0]],
-            "camera_from_world": [[1.0, 0.0, 0.0, -x], [0.0, 1.0, 0.0, -y], [0.0, 0.0, 1.0, -z], [0.0, 0.0, 0.0, 1.0]],
+            "camera_from_world": [[1.0, 0.0, 0.0, -x], [0.0, 1.0, 0.0, -y], [0.0, 0.0, 1.0, -z], [0.0, 0.0,
+            0.0, 1.0]],
         });
         self.write("c.json", json!({ "cameras": [camera] }).to_string());
     }
@@ -220,7 +221,8 @@ fn text_ply(properties: &[(&str, &str)], values: &str) -> String {
     let properties: String =
         properties.iter().map(|(kind, name)| format!("property {kind} {name}\n")).collect();
     format!(
-        "ply\nformat ascii 1.0\ncomment made\nobj_info a\nelement vertex 1\nproperty float x\nproperty float y\n\
+        "ply\nformat ascii 1.0\ncomment made\nobj_info a\nelement vertex 1\nproperty float x\nproperty float \
+            y\n\
          property float z\n{properties}end_header\n0 0 5 {values}\n"
     )
 }

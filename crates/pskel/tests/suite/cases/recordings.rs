@@ -70,7 +70,8 @@ fn shards_with_other_templates_are_not_taken() {
 #[test]
 fn protocols_retain_rollouts_of_the_same_recording_alone() {
     let log = built();
-    let protocol = "protocol lane-change nuscenes:log --skeletons sks --out p --rasterizer cpu --maps color --parts replay \
+    let protocol = "protocol lane-change nuscenes:log --skeletons sks --out p --rasterizer cpu --maps color \
+        --parts replay \
                     --window 2 --generator fill";
     for _ in 0..2 {
         let output = log.run(protocol);
@@ -86,7 +87,8 @@ fn protocols_retain_rollouts_of_the_same_recording_alone() {
 #[test]
 fn protocols_retain_rollouts_with_the_same_captions_alone() {
     let log = built();
-    let protocol = "protocol lane-change nuscenes:log --skeletons sks --out p --rasterizer cpu --maps color --parts replay \
+    let protocol = "protocol lane-change nuscenes:log --skeletons sks --out p --rasterizer cpu --maps color \
+        --parts replay \
                     --window 2 --generator fill --captions c.json";
     for (caption, refused) in [("sun", false), ("rain", true), ("sun", false)] {
         std::fs::write(log.path("c.json"), json!({"tiny": caption}).to_string()).unwrap();
@@ -102,8 +104,8 @@ fn protocols_retain_rollouts_with_the_same_captions_alone() {
 #[test]
 fn drives_are_of_the_recording() {
     let log = TinyLog::new();
-    let net = r#"{"recipe": {"drawn": "32x64", "size": "16x32"}, "frames": 2, "channels": [16, 16, 16, 16], "width": 32,
-        "head": 16, "hidden": 32, "blocks": ["s", "t"]}"#;
+    let net = r#"{"recipe": {"drawn": "32x64", "size": "16x32"}, "frames": 2, "channels": [16, 16, 16, 16],
+        "width": 32, "head": 16, "hidden": 32, "blocks": ["s", "t"]}"#;
     std::fs::write(log.path("net.json"), net).unwrap();
     let train = "train nuscenes:log --config net.json --out out --variants 1 --steps 0 --rasterizer cpu";
     log.succeed(train);

@@ -138,7 +138,8 @@ fn distortion_under_other_names_is_said_and_applied() {
             });
             let (json, _) = info(&log.path(""), "nuscenes:log");
             let note = format!(
-                "cameras with {key}, whose images are read as rectified (--image-distortion apply if they are not)"
+                "cameras with {key}, whose images are read as rectified (--image-distortion apply if they \
+                    are not)"
             );
             assert_eq!(json["left_out"], json!({ note: 2 }));
             let applied = log.run("build nuscenes:log --out out/sk --image-distortion apply");

@@ -250,7 +250,8 @@ fn pcd_files_of_other_writers_are_read() {
     let path = folder.path().join("a.pcd.bin");
     let read = |path: &Path, fields: &str, size: usize, data: &str, points: &[u8]| {
         let header = format!(
-            "VERSION 0.7\nFIELDS {fields}\nSIZE {size} {size} {size} 4\nTYPE F F F F\nCOUNT 1 1 1 1\nWIDTH 2\nHEIGHT 1\n\
+            "VERSION 0.7\nFIELDS {fields}\nSIZE {size} {size} {size} 4\nTYPE F F F F\nCOUNT 1 1 1 1\nWIDTH \
+                2\nHEIGHT 1\n\
              POINTS 2\nDATA {data}\n"
         );
         std::fs::write(path, [header.as_bytes(), points].concat()).unwrap();

@@ -68,8 +68,10 @@ fn script(folder: &Path, lines: &str) -> PeerAddress {
     let head = format!(
         "import os, sys, time\nsys.dont_write_bytecode = True\nsys.path.insert(0, {:?})\nimport denoiser\n\
          from denoiser import array, read, struct, write\nsource, out = sys.stdin.buffer, sys.stdout.buffer\n\
-         def see():\n    return read(source)\ndef say(texts={{}}, **tensors):\n    write(out, texts, tensors)\n\
-         SHAPE = [4, 2, 3, 2, 3]\nHELLO = {{'protocol': 'pskel-denoiser', 'version': '1', 'latent_shape': '2,3,2,3', \
+         def see():\n    return read(source)\ndef say(texts={{}}, **tensors):\n    write(out, texts, \
+         tensors)\n\
+         SHAPE = [4, 2, 3, 2, 3]\nHELLO = {{'protocol': 'pskel-denoiser', 'version': '1', 'latent_shape': \
+         '2,3,2,3', \
          'dtype': 'F32'}}\n",
         examples().display().to_string()
     );
@@ -210,7 +212,8 @@ fn denoisers_see_what_is_promised() {
         "def keep(name):\n    message = source.read(*struct.unpack('<Q', source.read(8)))\n    \
          with open({:?} + '/' + name, 'wb') as f:\n        f.write(message)\n\
          keep('hello')\nsay(HELLO)\nfor call in '01':\n    keep(call)\n    \
-         say({{'call': call, 'more': 'x'}}, prediction=('F32', SHAPE, bytes(576)), other=('I64', [1], bytes(8)))",
+         say({{'call': call, 'more': 'x'}}, prediction=('F32', SHAPE, bytes(576)), other=('I64', [1], \
+         bytes(8)))",
         folder.path().display().to_string()
     );
     let spec = PeerSpec { address: script(folder.path(), &lines), timeout_s: PATIENT_S };
@@ -274,8 +277,10 @@ fn guidance_takes_one_call_of_a_process_that_predicts_both_halves() {
         filled("1.0")
     );
     let twice = format!(
-        "see()\nsay(HELLO)\nfor call in range(4):\n    texts, _ = see()\n    assert 'dropped' not in texts\n    \
-         assert (texts['prompts'] == '[\"\", \"\", \"\", \"\"]'.replace(' ', '')) == (call % 2 == 1), texts\n    \
+        "see()\nsay(HELLO)\nfor call in range(4):\n    texts, _ = see()\n    assert 'dropped' not in texts\
+            \n    \
+         assert (texts['prompts'] == '[\"\", \"\", \"\", \"\"]'.replace(' ', '')) == (call % 2 == 1), \
+         texts\n    \
          say({{'call': str(call)}}, prediction={} if call % 2 == 0 else {})",
         filled("3.0"),
         filled("1.0")

@@ -129,9 +129,12 @@ fn the_example_stops_at_the_end_of_the_path() {
 /// trajectories in the ego frame.
 fn recorder(folder: &Path) -> PlannerAddress {
     let lines = format!(
-        "out = open({:?}, 'a')\nwhile True:\n    m = see()\n    print(json.dumps(m), file=out, flush=True)\n    \
-         print(json.dumps({{'frame': 'ego', 'trajectory': [{{'t': 0, 'x': 9, 'y': 9, 'heading': 9, 'v': 9}}, {{'t': 3, \
-         'x': 24, 'y': 0, 'heading': 0, 'v': 8}}]}}) if 'type' in m else '{{\"protocol\": \"pskel-planner\", \"version\": 1}}', flush=True)",
+        "out = open({:?}, 'a')\nwhile True:\n    m = see()\n    print(json.dumps(m), file=out, flush=True)\
+            \n    \
+         print(json.dumps({{'frame': 'ego', 'trajectory': [{{'t': 0, 'x': 9, 'y': 9, 'heading': 9, 'v': 9}}, \
+         {{'t': 3, \
+         'x': 24, 'y': 0, 'heading': 0, 'v': 8}}]}}) if 'type' in m else '{{\"protocol\": \"pskel-planner\", \
+         \"version\": 1}}', flush=True)",
         folder.join("seen").display().to_string()
     );
     script(folder, &lines)
@@ -307,7 +310,8 @@ fn paths_that_cross_themselves_are_told_in_their_order() {
     // Drives to where the first part of the path is nearer than the last, and records the path it sees there.
     let lines = format!(
         "see()\n{HELLO}\nwhile True:\n    m = see()\n    open({:?}, 'w').write(json.dumps(m['path']))\n    \
-         print(json.dumps({{'trajectory': [{{'t': 0.2, 'x': 20.9, 'y': 0.1, 'heading': -1.57, 'v': 4}}]}}), flush=True)",
+         print(json.dumps({{'trajectory': [{{'t': 0.2, 'x': 20.9, 'y': 0.1, 'heading': -1.57, 'v': 4}}]}}), \
+         flush=True)",
         seen.display().to_string()
     );
     let takeover = 124; // 0.8 m before the crossing
