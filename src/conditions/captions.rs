@@ -140,8 +140,8 @@ mod tests {
     fn time_and_weather_become_the_captions_of_the_training() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("captions.json");
-        let text = r#"{"a": {"time": "daytime", "weather": "clear, sunny"}, "b": {"weather": "overcast"}, "c": {},
-            "d": "Rain"}"#;
+        let text = r#"{"a": {"time": "daytime", "weather": "clear, sunny"}, "b": {"weather": "overcast"},
+            "c": {}, "d": "Rain"}"#;
         std::fs::write(&path, text).unwrap();
         let (captions, prompt) = (Captions::read(&path).unwrap(), PromptParts::default());
         let log = |name: &str, location: &str| Recording {

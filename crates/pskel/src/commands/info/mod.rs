@@ -25,7 +25,7 @@ pub(crate) use skeleton::dropped;
 /// a few sweeps. Missing and damaged files are named, and the exit code is then 1.
 #[derive(Debug, Args)]
 pub(crate) struct InfoArgs {
-    /// [FORMAT:]PATH[@VERSION][#SCENE], a folder of a skeleton or templates, or a file (.pcd.bin, .pcd, .feather,
+    /// [FORMAT:]PATH[@VERSION][#SCENE], a skeleton or template folder, or a file (.pcd.bin, .pcd, .feather,
     /// .npy, .ply, .json cameras, JPEG, PNG)
     #[arg(value_name = "LOG|SKELETON|FILE")]
     target: String,
