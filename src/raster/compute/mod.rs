@@ -15,6 +15,14 @@
 //!
 //! If the positions of all points exceed the memory budget, rows of positions are streamed, and the least
 //! recently drawn rows are evicted (`Residency`).
+//!
+//! # What was measured
+//! On lavapipe, 4 million points, in ms: workgroups of eight neighboring points instead of 64 took project
+//! from 42 to 30, near chunks first from 53 to 45, keys in tiles of 32 columns instead of image rows from 49
+//! to 44, bounds of 1024 instead of 4096 points from 45 to 41. Without gain: reading the key before the
+//! atomic; splatting squares into the pixels that the reduction reads (110 instead of 54); maps as storage
+//! images instead of buffers (125 instead of 100); skipping tiles that no chunk covers (none was empty);
+//! prefetching the next row of keys (62 instead of 53). Occlusion culling would need a pass over all keys.
 
 mod bands;
 mod coverage;

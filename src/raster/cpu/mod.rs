@@ -8,6 +8,14 @@
 //! `window`), finds the visible point of each pixel (`dilate`) and writes the maps (`resolve`). Each point
 //! draws only its own pixel, as in the compute rasterizer: the least of 64-bit keys, point by point. The
 //! loops over pixels compare depths first, and numbers of points on ties, both of 32 bits.
+//!
+//! # What was measured
+//! 100 million points, AVX2, in ms: loading the points of the next groups ahead took project from 159 to 136,
+//! 64-bit keys without branches from 136 to 97, dropping a second test of groups from 97 to 90; loading
+//! colors ahead took resolve from 51 to 35, masks of empty pixels from 35 to 26 (4 million). Without gain:
+//! tests of groups against tiles, tiles of 16 pixels, finer cells of the Morton order, keys in huge pages,
+//! permuted points in groups, 6 to 36 strips per thread, loading six groups and eight blocks ahead. Most
+//! groups of the 100 million street would be drawn even if all cells were known from the start.
 
 mod blocks;
 mod dilate;
