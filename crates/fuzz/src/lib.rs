@@ -16,7 +16,6 @@ mod choices;
 pub mod edits;
 mod folder;
 mod made;
-mod shared;
 mod targets;
 mod tiny_log;
 

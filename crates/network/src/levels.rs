@@ -73,8 +73,8 @@ impl<'a> Levels<'a> {
         (guess + known)? + missing
     }
 
-    /// Returns the target `F`, for which [`Levels::clean`] is `x0` if `x = (1-s) x0 + s e`: `(s (x0 - mu) / p
-    /// - (1-s) p e) / sqrt D`. This equals `(x0 - mu - a y) / c` without the cancellation of nearly equal
+    /// Returns the target `F`, for which [`Levels::clean`] is `x0` if `x = (1-s) x0 + s e`:
+    /// `(s (x0 - mu) / p - (1-s) p e) / sqrt D`. This equals `(x0 - mu - a y) / c` without the cancellation of nearly equal
     /// terms.
     pub(crate) fn answer(&self, clean: &Tensor, guess: &Tensor, noise: &Tensor) -> Result<Tensor> {
         let off = self.times(&(clean - guess)?, |s, p| s / (p * variance(s, p).sqrt()))?;

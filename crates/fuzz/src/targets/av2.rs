@@ -22,8 +22,8 @@ use crate::choices::Choices;
 use crate::edits::json_file;
 use crate::folder::Folder;
 use crate::made::Made;
-use crate::shared::av2_log::{Columns, LOG_ID, TinyAv2, map as map_json, read, sweep};
 use crate::{Memory, Seed, Target};
+use pskel_testing::av2_log::{Columns, LOG_ID, TinyAv2, map as map_json, read, sweep};
 
 /// A small file may declare 16 MiB; each byte may become an eight-byte number, and part of a pose.
 const UNPACKED: Memory = Memory { fixed: 512 << 20, factor: 1000 };

@@ -12,8 +12,8 @@ use super::{LARGE, seed};
 use crate::check::{dataset, told, told_within};
 use crate::choices::Choices;
 use crate::folder::Folder;
-use crate::shared::nuplan_made::{LOG, MAP, Made};
 use crate::{Seed, Target};
+use pskel_testing::nuplan_log::{LOG, MAP, Made};
 
 pub(super) const TARGETS: [Target; 5] = [
     Target { name: "nuplan_pages", run: pages, seeds: page_seeds, max_len: 65_536, memory: LARGE },

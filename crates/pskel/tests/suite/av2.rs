@@ -11,12 +11,12 @@ use point_skeleton::geometry::{Cuboid, View};
 use point_skeleton::scene::{EgoOffset, state_of_frame};
 use pskel::logs;
 
-use crate::av2_log::{
+use crate::tiny_log::PSKEL;
+use pskel_testing::av2_log::{
     FRAMES, IMAGE_NS, LOG_ID, MAP, RING, SIZE, START, TinyAv2, frame_ns, picture, read, set, set_number,
     sweep, write,
 };
-use crate::common::shared;
-use crate::tiny_log::PSKEL;
+use pskel_testing::shared::shared;
 
 fn locator(path: impl Into<std::path::PathBuf>) -> LogLocator {
     LogLocator::new(&point_skeleton::dataset::av2::FORMAT, path)
@@ -253,8 +253,8 @@ fn a_log_is_built_and_rendered_with_images_and_without() {
         assert_eq!(summary.contains("images missing"), !images, "{summary}");
         assert!(summary.contains("7 camera views"), "{summary}");
         let maps = root.join("out/000001/maps.npz");
-        let class = crate::npz::read::<u8>(&maps, "class");
-        let depth = crate::npz::read::<f32>(&maps, "depth").data;
+        let class = pskel_testing::npz::read::<u8>(&maps, "class");
+        let depth = pskel_testing::npz::read::<f32>(&maps, "depth").data;
         let pixels = usize::from(SIZE[0]) * usize::from(SIZE[1]);
         assert_eq!(class.shape, [7, SIZE[0].into(), SIZE[1].into()]);
         let on_car: Vec<usize> = (0..7 * pixels).filter(|i| class.data[*i] == 1).collect();
@@ -267,7 +267,7 @@ fn a_log_is_built_and_rendered_with_images_and_without() {
         let expected = if images { 7.9 } else { 8.0 };
         let in_front = || on_car.iter().filter(|i| **i < pixels);
         assert!(in_front().all(|i| (depth[*i] - expected).abs() < 2e-3), "{}", depth[on_car[0]]);
-        let color = crate::npz::read::<u8>(&maps, "color").data;
+        let color = pskel_testing::npz::read::<u8>(&maps, "color").data;
         let grey = color.chunks(3).filter(|p| *p != [0; 3]).all(|p| p == [128; 3]);
         assert_eq!(grey, !images);
     }

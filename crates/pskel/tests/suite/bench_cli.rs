@@ -8,8 +8,9 @@ use point_skeleton::scene::Substitutes;
 use pskel_eval::bench::{street_cloud, street_views};
 use serde_json::Value;
 
-use crate::npz;
+use crate::tiny_log::RunPskel as _;
 use crate::tiny_log::{FRAMES, HEIGHT, TinyLog, WIDTH};
+use pskel_testing::npz;
 
 /// A small street, rendered by the rasterizer that needs no driver.
 const SMALL: &str = "bench --synthetic 3000 --size 90x160 --repeat 3 --warm-up 1 --rasterizer cpu";

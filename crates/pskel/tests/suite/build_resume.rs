@@ -13,9 +13,10 @@ use point_skeleton::skeleton::{
 };
 use serde_json::json;
 
-use crate::common::WithLog;
 use crate::made_town::{self, FRAMES};
+use crate::tiny_log::RunPskel as _;
 use crate::tiny_log::{PSKEL, TinyLog, assert_failed, tree};
+use pskel_testing::shared::WithLog;
 
 /// A log whose sweeps can be read only a limited number of times.
 struct Breaking<'a> {

@@ -3,6 +3,7 @@
 
 use serde_json::{Value, json};
 
+use crate::tiny_log::RunPskel as _;
 use crate::tiny_log::{TinyLog, assert_failed};
 
 const RENDER: &str = "render nuscenes:log --skeleton sk --rasterizer cpu --out out";

@@ -8,6 +8,7 @@ use point_skeleton::dataset::nuscenes::write_sweep_file;
 use point_skeleton::skeleton::{Skeleton, TemplateKind};
 use serde_json::json;
 
+use crate::tiny_log::RunPskel as _;
 use crate::tiny_log::{CAMERAS, FRAMES, PSKEL, TinyLog, assert_failed, picture, sweep, tree};
 
 const BUILD: &str = "build nuscenes:log --out out/sk";

@@ -7,11 +7,12 @@ use point_skeleton::cloud::cameras;
 use point_skeleton::geometry::{Camera, Pose, View};
 use serde_json::json;
 
-use crate::npz;
+use crate::tiny_log::RunPskel as _;
 use crate::tiny_log::{
     CAMERA_Z, CAMERAS, FIRST_US, HEIGHT, INTRINSICS, PSKEL, START, STEP_US, TinyLog, WIDTH, assert_failed,
     camera_rotation, tree,
 };
+use pskel_testing::npz;
 
 /// Returns a log with its skeleton in `sk`.
 fn built() -> TinyLog {

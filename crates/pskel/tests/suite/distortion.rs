@@ -13,6 +13,7 @@ use point_skeleton::raster::reference::ReferenceRasterizer;
 use point_skeleton::scene::{ActorState, SceneCamera, SceneInstances, SceneState};
 use point_skeleton::skeleton::Projector;
 
+use crate::tiny_log::RunPskel as _;
 use crate::tiny_log::{TinyLog, tree};
 
 #[derive(serde::Deserialize)]

@@ -6,6 +6,7 @@ use std::process::{Command, Output};
 use image::{GrayImage, ImageBuffer, Luma, Rgb, RgbImage};
 use serde_json::{Value, json};
 
+use crate::tiny_log::RunPskel as _;
 use crate::tiny_log::{PSKEL, assert_failed};
 
 const WIDTH: u32 = 28;

@@ -9,6 +9,7 @@ mod render_frame;
 
 use std::collections::BTreeMap;
 
+use crate::tiny_log::RunPskel as _;
 use crate::tiny_log::{TinyLog, tree};
 
 /// Returns the PNGs of all cameras below a folder; there must be some.

@@ -8,6 +8,7 @@ use std::process::{Command, Stdio};
 
 use serde_json::{Value, json};
 
+use crate::tiny_log::RunPskel as _;
 use crate::tiny_log::{CAMERAS, FRAMES, HEIGHT, PSKEL, TinyLog, WIDTH, assert_failed, tree};
 
 const EXPORT: &str = "export nuscenes:log --skeletons sks --out out --out-size 32x48 --rasterizer cpu";
@@ -138,7 +139,7 @@ fn the_cache_of_the_paper_is_by_token() {
     let render =
         "render nuscenes:log --skeleton sks/tiny --rasterizer cpu --maps tensor --format npz --out tensor";
     log.succeed(&format!("{render} --out-size 32x48"));
-    let points = crate::npz::read::<f32>(&log.path("tensor/000001/maps.npz"), "points");
+    let points = pskel_testing::npz::read::<f32>(&log.path("tensor/000001/maps.npz"), "points");
     let depth = open("proj_depth_g1.0/d1CAM_FRONT.png");
     assert_eq!((depth.width(), depth.height(), depth.color()), (48, 32, image::ColorType::L16));
     let channel = &points.data[3 * 48 * 32..4 * 48 * 32];

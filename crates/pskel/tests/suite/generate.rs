@@ -16,9 +16,9 @@ use pskel_generate::{
 use pskel_sim::{Committed, EgoPolicy, Forecast, SimOptions};
 use serde_json::Value;
 
-use crate::common::fixtures;
-use crate::npz;
 use crate::sim::made;
+use pskel_testing::npz;
+use pskel_testing::shared::fixtures;
 
 const SHAPE: LatentShape = LatentShape { views: 2, channels: 3, height: 2, width: 2 };
 

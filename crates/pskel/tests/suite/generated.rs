@@ -8,6 +8,7 @@ use serde_json::{Value, json};
 
 use crate::generate::network::{made, weights};
 use crate::simulate::{assert_page_is_whole, built, planner};
+use crate::tiny_log::RunPskel as _;
 use crate::tiny_log::{CAMERAS, HEIGHT, TinyLog, WIDTH, assert_failed, picture, tree};
 
 const GENERATE: &str = "generate nuscenes:log --skeleton sk --out out --rasterizer cpu --maps color \

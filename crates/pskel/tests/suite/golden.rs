@@ -5,6 +5,7 @@
 
 use twox_hash::XxHash3_64;
 
+use crate::tiny_log::RunPskel as _;
 use crate::tiny_log::{TinyLog, tree};
 
 /// Hash of the names and bytes of the files below a folder that neither hold the program's version nor

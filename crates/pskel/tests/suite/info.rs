@@ -2,9 +2,10 @@
 
 use serde_json::{Value, json};
 
-use crate::av2_log::TinyAv2;
-use crate::nuplan_made::{Made, RING, image_file};
+use crate::tiny_log::RunPskel as _;
 use crate::tiny_log::{CAMERAS, FRAMES, TinyLog, assert_failed, picture, sweep};
+use pskel_testing::av2_log::TinyAv2;
+use pskel_testing::nuplan_log::{Made, RING, image_file};
 
 /// Returns the description as JSON. The exit code must be 1 if it names missing or damaged files, else 0.
 #[track_caller]

@@ -1,18 +1,13 @@
-//! Tests of the whole library, one module per subject.
+//! Tests that run the command, one module per subject, and tests of crates that have no folder of their own.
 #![allow(clippy::unwrap_used, clippy::print_stdout, clippy::print_stderr)] // helpers outside `#[test]`
 
 mod av2;
-mod av2_bad;
-mod av2_log;
-mod av2_map;
 mod bench_cli;
 mod build_resume;
 mod cases;
 mod checksums;
 mod cli_build;
 mod cli_render;
-mod common;
-mod conditions;
 mod distortion;
 mod evaluate;
 mod examples;
@@ -25,30 +20,19 @@ mod info;
 mod made_town;
 mod mcap_file;
 mod metrics;
-mod npz;
 mod nuplan;
-mod nuplan_bad;
-mod nuplan_made;
-mod nuplan_real;
-mod nuscenes;
 mod nuscenes_bad;
 mod nuscenes_map;
 mod outputs;
 mod oversized;
-mod parity;
 mod peer_ends;
 mod peer_lines;
 mod protocol;
-mod raster;
 mod rates;
-mod real_frames;
-mod real_log;
-mod sheet;
 mod sim;
 mod simulate;
 mod simulate_folder;
 mod simulate_mcap;
-mod skeleton_store;
 mod splat_cli;
 mod templates;
 mod tensor;

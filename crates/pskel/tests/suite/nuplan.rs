@@ -6,11 +6,11 @@ use point_skeleton::geometry::{Distortion, View};
 use pskel::logs;
 use pskel_eval::protocol::SIMGEN;
 
-use crate::nuplan_made::{
+use crate::tiny_log::{PSKEL, tree};
+use pskel_testing::nuplan_log::{
     CAMERA_Z, CORNERS, DELAY_US, DISTORTION, FIRST_US, FRAMES, LIDAR_Z, LOG, MAP, Made, RING, STEP_US,
     assert_says, car_at, ego_at, image_file, sweep_file, token,
 };
-use crate::tiny_log::{PSKEL, tree};
 
 #[test]
 fn eight_cameras_at_half_the_rate_serve_every_frame() {

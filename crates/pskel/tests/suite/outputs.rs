@@ -9,6 +9,7 @@ use std::time::{Duration, Instant};
 use rustix::process::{Pid, Signal, kill_process};
 
 use crate::simulate::{built, planner};
+use crate::tiny_log::RunPskel as _;
 use crate::tiny_log::{PSKEL, TinyLog, assert_failed, tree, with_default_signals};
 
 const RENDER: &str = "render nuscenes:log --skeleton sk --out out --maps depth --rasterizer cpu";

@@ -9,9 +9,9 @@ use point_skeleton::dataset::nuscenes::{NuScenes, read_map_file};
 use point_skeleton::dataset::{LogLocator, LogReader};
 use serde_json::json;
 
-use crate::av2_log::{TinyAv2, sweep, write};
-use crate::nuplan_made::Made;
 use crate::tiny_log::TinyLog;
+use pskel_testing::av2_log::{TinyAv2, sweep, write};
+use pskel_testing::nuplan_log::Made;
 
 #[test]
 fn views_without_end_are_given_up() {

@@ -4,6 +4,7 @@ use serde_json::{Value, json};
 
 use crate::generated::{at_call, denoiser};
 use crate::simulate::built;
+use crate::tiny_log::RunPskel as _;
 use crate::tiny_log::{CAMERAS, FRAMES, TinyLog, assert_failed, picture, tree};
 
 const VAL: &str = "protocol nuscenes-val nuscenes:log#* --other-logs --parts 2hz --skeletons sk --out out \

@@ -6,8 +6,9 @@ use point_skeleton::geometry::{Cuboid, Pose};
 use point_skeleton::scene::{EgoOffset, state_at};
 use serde_json::json;
 
-use crate::npz;
+use crate::tiny_log::RunPskel as _;
 use crate::tiny_log::{FIRST_US, START, STEP_US, TinyLog, WIDTH};
+use pskel_testing::npz;
 
 const KEYFRAMES: usize = 5;
 const FROM_US: i64 = 1_533_151_603_512_404;

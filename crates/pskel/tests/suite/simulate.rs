@@ -7,6 +7,7 @@ use std::process::Command;
 
 use serde_json::{Value, json};
 
+use crate::tiny_log::RunPskel as _;
 use crate::tiny_log::{CAMERAS, FIRST_US, PSKEL, START, TinyLog, assert_failed, tree};
 
 /// Command without a number of steps. The log covers 1 s at 2 Hz, which gives 12 steps, 6 of them warm-up.

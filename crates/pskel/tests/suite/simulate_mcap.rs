@@ -13,6 +13,7 @@ use serde_json::{Value, json};
 
 use crate::mcap_file::McapFile;
 use crate::simulate::{SIMULATE, built, planner, rows};
+use crate::tiny_log::RunPskel as _;
 use crate::tiny_log::{CAMERAS, START, TinyLog, assert_failed, tree};
 
 fn vector(of: Option<Vector3>) -> DVec3 {

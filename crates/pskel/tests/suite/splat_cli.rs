@@ -8,8 +8,8 @@ use point_skeleton::cloud::{Point, cameras, npy, ply};
 use point_skeleton::conditions::{BinScale, DepthBins};
 use point_skeleton::geometry::{Camera, View};
 
-use crate::parity::{Layout, assert_parity, differing};
-use crate::{common, npz};
+use pskel_testing::parity::{Layout, assert_parity, differing};
+use pskel_testing::{npz, shared as common};
 
 const PSKEL: &str = env!("CARGO_BIN_EXE_pskel");
 

@@ -11,8 +11,9 @@ use point_skeleton::skeleton::{
 };
 use serde_json::json;
 
-use crate::common::{shared, skeleton_of};
+use crate::tiny_log::RunPskel as _;
 use crate::tiny_log::{TinyLog, tree};
+use pskel_testing::shared::{shared, skeleton_of};
 
 /// Returns the sides and the top of a box, with a point every 5 cm.
 fn shell([length, width, height]: [f64; 3]) -> Vec<Point> {

@@ -6,8 +6,9 @@ use point_skeleton::conditions::{
 use safetensors::{Dtype, SafeTensors};
 use serde_json::json;
 
+use crate::tiny_log::RunPskel as _;
 use crate::tiny_log::{CAMERAS, FIRST_US, TinyLog};
-use crate::{common, npz};
+use pskel_testing::{npz, shared as common};
 
 const RENDER: &str = "render nuscenes:log --skeleton sk --out out";
 const ALLOWED: f32 = 1e-5;

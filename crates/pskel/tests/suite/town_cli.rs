@@ -4,6 +4,7 @@ use std::process::Command;
 
 use serde_json::Value;
 
+use crate::tiny_log::RunPskel as _;
 use crate::tiny_log::{PSKEL, TinyLog, assert_failed, tree};
 
 #[test]

@@ -13,9 +13,9 @@ use point_skeleton::scene::{EgoOffset, state_at, state_of_frame};
 use point_skeleton::skeleton::{BuildOptions, SplitOptions};
 use pskel_town::{Daylight, Town, TownOptions};
 
-use crate::common::{WithLog, skeleton_of};
 use crate::made_town::{self, FRAMES, OPTIONS, town};
 use crate::tiny_log::tree;
+use pskel_testing::shared::{WithLog, skeleton_of};
 
 fn views(town: &Town, frame: usize) -> Vec<View> {
     let state = state_of_frame(town.recording(), frame, EgoOffset::default()).unwrap();

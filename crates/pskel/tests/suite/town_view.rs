@@ -10,7 +10,7 @@ use pskel_town::Daylight;
 use pskel_town::mesh::{Mesh, Skin, Surface};
 use pskel_town::view::{GroundTruthView, Light, MeshDraw, MeshRenderError, MeshRenderer};
 
-use crate::raster::twins::with_device;
+use pskel_testing::devices::with_device;
 
 const NEAR_M: f64 = 0.1;
 

@@ -8,10 +8,11 @@ use std::path::Path;
 use rustix::fs::{CWD, FileType, mknodat};
 use serde_json::{Value, json};
 
-use crate::av2_log::{LOG_ID, TinyAv2, picture, sweep};
 use crate::guarded::{Ended, listing, run};
-use crate::nuplan_made::{LOG, Made, RING, image_file, sweep_file};
+use crate::tiny_log::RunPskel as _;
 use crate::tiny_log::TinyLog;
+use pskel_testing::av2_log::{LOG_ID, TinyAv2, picture, sweep};
+use pskel_testing::nuplan_log::{LOG, Made, RING, image_file, sweep_file};
 
 /// Kinds of objects in place of a file, with the error message for each.
 const KINDS: [(&str, &str); 5] = [

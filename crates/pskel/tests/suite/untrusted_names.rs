@@ -4,10 +4,10 @@ use std::path::Path;
 
 use serde_json::json;
 
-use crate::av2_log::{LOG_ID, TinyAv2, set, texts};
 use crate::guarded::{Ended, listing, run};
-use crate::nuplan_made::{LOG, Made};
 use crate::tiny_log::TinyLog;
+use pskel_testing::av2_log::{LOG_ID, TinyAv2, set, texts};
+use pskel_testing::nuplan_log::{LOG, Made};
 
 /// Camera names that are refused; `OUTSIDE` is replaced by a folder beside the data set. The output is five
 /// levels below the folder that is checked for changes.

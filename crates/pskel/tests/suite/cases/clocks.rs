@@ -4,9 +4,10 @@ use arrow_array::Int64Array;
 use serde_json::{Value, json};
 
 use super::Case;
-use crate::av2_log::{TinyAv2, integers, picture, sweep};
-use crate::nuplan_made::{Made, token};
+use crate::tiny_log::RunPskel as _;
 use crate::tiny_log::{FIRST_US, FRAMES, STEP_US, TinyLog};
+use pskel_testing::av2_log::{TinyAv2, integers, picture, sweep};
+use pskel_testing::nuplan_log::{Made, token};
 
 const HOUR_US: i64 = 3_600_000_000;
 

@@ -8,10 +8,11 @@ use point_skeleton::dataset::{LogReader, Sweep, SweepPoint};
 use serde_json::Value;
 
 use super::Case;
-use crate::av2_log::{self, TinyAv2};
-use crate::common::shared;
-use crate::nuplan_made::{self, Made, sweep_file};
+use crate::tiny_log::RunPskel as _;
 use crate::tiny_log::{FRAMES, TinyLog, sweep};
+use pskel_testing::av2_log::{self, TinyAv2};
+use pskel_testing::nuplan_log::{self, Made, sweep_file};
+use pskel_testing::shared::shared;
 
 /// Builds a log of a case, and returns the content of `skeleton.json`.
 #[track_caller]

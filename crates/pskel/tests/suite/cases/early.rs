@@ -8,6 +8,7 @@ use std::process::{Command, Output};
 use serde_json::json;
 
 use crate::simulate::built;
+use crate::tiny_log::RunPskel as _;
 use crate::tiny_log::{PSKEL, TinyLog, assert_failed, tree};
 
 const SIMULATE: &str =
@@ -74,7 +75,7 @@ fn files_that_cannot_be_written_are_refused_before_the_work() {
             .to_owned(),
     ] {
         let Some(output) = run_as_other_user(&log, &args) else {
-            return crate::common::skip("setpriv and another user");
+            return pskel_testing::shared::skip("setpriv and another user");
         };
         assert_early(&log, &output, &["Permission denied", "ro/"]);
     }

@@ -7,6 +7,7 @@ use serde_json::{Value, json};
 
 use super::outputs::{EXPORT, assert_refused};
 use crate::guarded;
+use crate::tiny_log::RunPskel as _;
 use crate::tiny_log::{FIRST_US, STEP_US, TinyLog, assert_failed, tree};
 
 #[test]

@@ -4,9 +4,10 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use std::process::{Command, Output};
 
-use crate::common::skip;
 use crate::simulate::built;
+use crate::tiny_log::RunPskel as _;
 use crate::tiny_log::{PSKEL, TinyLog, tree};
+use pskel_testing::shared::skip;
 
 const BUILD: &str = "build nuscenes:log --out out";
 const RENDER: &str = "render nuscenes:log --skeleton sk --out out --maps depth --rasterizer cpu";

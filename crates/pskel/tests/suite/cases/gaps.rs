@@ -6,11 +6,12 @@ use std::path::Path;
 use serde_json::Value;
 
 use super::Case;
-use crate::av2_log::{self, TinyAv2};
-use crate::common::shared;
 use crate::guarded;
-use crate::nuplan_made::{Made, RING, image_file};
+use crate::tiny_log::RunPskel as _;
 use crate::tiny_log::{CAMERAS, TinyLog, picture, sweep};
+use pskel_testing::av2_log::{self, TinyAv2};
+use pskel_testing::nuplan_log::{Made, RING, image_file};
+use pskel_testing::shared::shared;
 
 const DB: &str = "nuplan-v1.1/splits/mini/2020.01.01.00.00.00_veh-02_00000_00079.db";
 

@@ -6,8 +6,9 @@ use std::time::{Duration, Instant};
 
 use serde_json::json;
 
-use crate::common::skip;
+use crate::tiny_log::RunPskel as _;
 use crate::tiny_log::{INTRINSICS, PSKEL, TinyLog, assert_failed, tree};
+use pskel_testing::shared::skip;
 
 const LOG: &str = "nuscenes:log@v1.0-mini";
 /// A hang is reported after this time.

@@ -7,8 +7,9 @@ use std::process::Command;
 use serde_json::{Value, json};
 
 use super::Case;
-use crate::nuplan_made::Made;
+use crate::tiny_log::RunPskel as _;
 use crate::tiny_log::{HEIGHT, PSKEL, TinyLog, WIDTH, assert_failed, picture, sweep};
+use pskel_testing::nuplan_log::Made;
 
 /// Edits the text of a table.
 fn edit(log: &TinyLog, table: &str, edit: impl FnOnce(String) -> Vec<u8>) {

@@ -8,7 +8,6 @@ mod exports;
 mod folders;
 mod gaps;
 mod limits;
-mod maps;
 mod messages;
 mod outputs;
 mod points;
@@ -22,8 +21,8 @@ use std::process::Command;
 
 use tempfile::TempDir;
 
-use crate::common::shared;
 use crate::guarded::{self, Ended};
+use pskel_testing::shared::shared;
 
 /// Inputs of a shared case, in a folder that is removed on drop.
 pub(crate) struct Case {

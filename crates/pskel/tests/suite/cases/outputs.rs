@@ -1,6 +1,7 @@
 //! Outputs never replace inputs or files that no run wrote.
 
 use crate::simulate::built;
+use crate::tiny_log::RunPskel as _;
 use crate::tiny_log::{TinyLog, assert_failed, tree};
 use std::os::unix::fs::symlink;
 use std::path::Path;

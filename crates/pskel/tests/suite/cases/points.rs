@@ -11,10 +11,11 @@ use point_skeleton::skeleton::{
 use serde_json::json;
 
 use super::Case;
-use crate::common::shared;
 use crate::guarded;
-use crate::npz;
+use crate::tiny_log::RunPskel as _;
 use crate::tiny_log::TinyLog;
+use pskel_testing::npz;
+use pskel_testing::shared::shared;
 
 impl Case {
     /// Copies the files of a shared case. Returns `None` where these are missing.

@@ -11,6 +11,7 @@ use serde_json::{Value, json};
 
 use crate::mcap_file::McapFile;
 use crate::simulate::{SIMULATE, built};
+use crate::tiny_log::RunPskel as _;
 use crate::tiny_log::{START, TinyLog, assert_failed, tree};
 
 /// Focal length of the camera in front.

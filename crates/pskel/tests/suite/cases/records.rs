@@ -4,9 +4,10 @@
 use serde_json::{Value, json};
 
 use super::gaps::{assert_policy, info};
-use crate::av2_log::{self, TinyAv2};
-use crate::nuplan_made::{FRAMES as SHOTS, Made, RING, pickled, token};
+use crate::tiny_log::RunPskel as _;
 use crate::tiny_log::{FRAMES, TinyLog};
+use pskel_testing::av2_log::{self, TinyAv2};
+use pskel_testing::nuplan_log::{FRAMES as SHOTS, Made, RING, pickled, token};
 
 const DATA: &str = "sweeps and images that refer to a missing record";
 const BOXES: &str = "boxes that refer to a missing record";

@@ -8,10 +8,11 @@ use point_skeleton::dataset::{LogLocator, LogReader, Sweep};
 use serde_json::Value;
 
 use super::Case;
-use crate::av2_log::{self, TinyAv2};
-use crate::common::shared;
-use crate::nuplan_made::{Made, sweep_file};
+use crate::tiny_log::RunPskel as _;
 use crate::tiny_log::{TinyLog, sweep};
+use pskel_testing::av2_log::{self, TinyAv2};
+use pskel_testing::nuplan_log::{Made, sweep_file};
+use pskel_testing::shared::shared;
 
 type Row = [f32; 5];
 

@@ -7,8 +7,9 @@ use point_skeleton::dataset::{Class, LogLocator, LogReader, Recording};
 use serde_json::{Value, json};
 
 use super::Case;
-use crate::nuplan_made::Made;
+use crate::tiny_log::RunPskel as _;
 use crate::tiny_log::{TinyLog, assert_failed};
+use pskel_testing::nuplan_log::Made;
 
 fn recording(root: &Path) -> Recording {
     NuScenes::open(&LogLocator::new(&point_skeleton::dataset::nuscenes::FORMAT, root))

@@ -9,7 +9,7 @@ use pskel_sim::{
 use serde_json::Value;
 
 use super::made;
-use crate::common::fixtures;
+use pskel_testing::shared::fixtures;
 
 fn all(sim: &mut Simulation<'_>) -> Vec<Instant> {
     let mut instants = vec![(*sim.committed().get()).clone()];

@@ -7,7 +7,7 @@ use pskel_sim::{
 };
 
 use super::made;
-use crate::common::shared;
+use pskel_testing::shared::shared;
 
 fn all(sim: &mut Simulation<'_>) -> Vec<Instant> {
     let mut instants = vec![sim.committed().get().to_owned().clone()];

@@ -1,7 +1,7 @@
 //! Denoisers that answer wrongly, die or hang, and windows that do not fit them.
 
 use super::*;
-use crate::common::assert_tells;
+use pskel_testing::shared::assert_tells;
 
 #[test]
 fn bad_answers_are_told() {

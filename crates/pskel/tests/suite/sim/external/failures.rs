@@ -8,7 +8,7 @@ use std::time::Instant;
 use point_skeleton::dataset::Recording;
 use pskel_sim::{PlannerAddress, PlannerError, SimError, SimOptions, Simulation};
 
-use crate::common::assert_tells;
+use pskel_testing::shared::assert_tells;
 
 use super::{HELLO, Server, command, made, options, script};
 

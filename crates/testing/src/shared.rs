@@ -8,7 +8,7 @@ use point_skeleton::skeleton::{self, BuildInput, BuildOptions, BuildRun, Skeleto
 
 /// Returns the folder of recordings and fixtures: `PSKEL_SHARED`, else `../shared` from the project's root.
 /// Returns `None` if neither exists; the caller then returns, and the test counts as skipped.
-pub(crate) fn shared(what: &str) -> Option<PathBuf> {
+pub fn shared(what: &str) -> Option<PathBuf> {
     let beside = || PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../../shared");
     let folder = std::env::var_os("PSKEL_SHARED").map_or_else(beside, PathBuf::from);
     if folder.is_dir() {
@@ -19,7 +19,7 @@ pub(crate) fn shared(what: &str) -> Option<PathBuf> {
 }
 
 /// Prints that the running test is skipped, and appends its name to the file that `PSKEL_SKIP_LOG` names.
-pub(crate) fn skip(why: &str) {
+pub fn skip(why: &str) {
     let test = std::thread::current().name().unwrap_or("?").to_owned();
     eprintln!("skipped {test}: {why}");
     if let Some(log) = std::env::var_os("PSKEL_SKIP_LOG") {
@@ -29,31 +29,26 @@ pub(crate) fn skip(why: &str) {
 }
 
 /// Returns the folder of fixtures: `PSKEL_FIXTURES`, else `fixtures` in the shared folder.
-pub(crate) fn fixtures(what: &str) -> Option<PathBuf> {
+pub fn fixtures(what: &str) -> Option<PathBuf> {
     std::env::var_os("PSKEL_FIXTURES").map(PathBuf::from).or_else(|| shared(what).map(|s| s.join("fixtures")))
 }
 
 /// Builds a skeleton from some frames of a log, without templates.
-pub(crate) fn skeleton_of(
-    out: &Path,
-    log: &dyn LogReader,
-    frames: &[usize],
-    options: &BuildOptions,
-) -> Skeleton {
+pub fn skeleton_of(out: &Path, log: &dyn LogReader, frames: &[usize], options: &BuildOptions) -> Skeleton {
     let input = BuildInput { reader: log, frames: frames.to_vec() };
     skeleton::build(out, &[input], options, &|_| Ok(Vec::new()), &BuildRun::default()).unwrap()
 }
 
 /// Files of one dataset combined with another log.
-pub(crate) struct WithLog<'a> {
-    pub(crate) drive: &'a dyn LogReader,
-    pub(crate) log: Recording,
+pub struct WithLog<'a> {
+    pub drive: &'a dyn LogReader,
+    pub log: Recording,
 }
 
 impl<'a> WithLog<'a> {
     /// Keeps only the sweeps of some frames and drops all images, so that all points are retained, in gray.
     /// Boxes stay, because they define the moving objects.
-    pub(crate) fn grey(drive: &'a dyn LogReader, kept: &[usize]) -> Self {
+    pub fn grey(drive: &'a dyn LogReader, kept: &[usize]) -> Self {
         let mut log = drive.recording().clone();
         for (index, frame) in log.frames.iter_mut().enumerate() {
             frame.images.clear();
@@ -80,7 +75,7 @@ impl LogReader for WithLog<'_> {
 }
 
 /// Fails unless the message of a peer's error is short, contains `part` and ends with the peer's address.
-pub(crate) fn assert_tells(error: &impl std::fmt::Display, part: &str, address: &impl std::fmt::Display) {
+pub fn assert_tells(error: &impl std::fmt::Display, part: &str, address: &impl std::fmt::Display) {
     let message = error.to_string();
     assert!(message.contains(part) && message.ends_with(&address.to_string()), "{message}\nexpected {part}");
     assert!(message.len() < 600, "{message}");

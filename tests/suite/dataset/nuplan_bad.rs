@@ -5,10 +5,10 @@ use point_skeleton::dataset::nuplan::NuPlan;
 use point_skeleton::dataset::{LogLocator, LogReader, MissingData};
 use proptest::prelude::*;
 
-use crate::common::shared;
-use crate::nuplan_made::{
+use pskel_testing::nuplan_log::{
     EAST, LOG, Made, NORTH, RING, SOUTH, WEST, assert_says, geometry, image_file, pickled, sweep_file, token,
 };
+use pskel_testing::shared::shared;
 
 /// Checks the message after some statements.
 #[track_caller]

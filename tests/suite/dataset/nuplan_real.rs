@@ -12,7 +12,7 @@ use point_skeleton::skeleton::{BuildOptions, Chunk, Part, Skeleton, Splitter, Tr
 use rstar::{PointDistance, RTree};
 use serde_json::Value;
 
-use crate::common::{WithLog, shared, skeleton_of};
+use pskel_testing::shared::{WithLog, shared, skeleton_of};
 
 const NAME: &str = "2020.01.01.00.00.00_veh-02_00000_00079";
 /// Global coordinates here minus the nuScenes layout's, meters.

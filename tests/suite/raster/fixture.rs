@@ -10,8 +10,8 @@ use point_skeleton::geometry::{Camera, View};
 use point_skeleton::raster::reference::ReferenceRasterizer;
 use point_skeleton::raster::{Instance, MapSet, Rasterizer, SplatJob, SplatMaps, SplatSchedule};
 
-use super::twins::{Division, assert_same, rasterizers, with_device};
-use crate::common::fixtures;
+use pskel_testing::devices::{Division, assert_same, rasterizers, with_device};
+use pskel_testing::shared::fixtures;
 
 /// Pixels at the border where the reference truncates toward zero.
 const BORDER: u32 = 3;

@@ -6,7 +6,7 @@ use point_skeleton::geometry::ImageSize;
 use point_skeleton::raster::reference::ReferenceRasterizer;
 use point_skeleton::raster::{Crop, MapKind, MapSet, Rasterizer, Segment, SplatJob, SplatMaps, draw_lines};
 
-use super::twins::{Case, Division, rasterizers, with_compute_device, with_device};
+use pskel_testing::devices::{Case, Division, rasterizers, with_compute_device, with_device};
 
 fn point(position: [f32; 3]) -> Point {
     Point::new(position, [1, 2, 3], 0)

@@ -2,16 +2,16 @@
 
 /// Layout of several views' maps, `[view, height, width, channel]`.
 #[derive(Clone, Copy)]
-pub(crate) struct Layout {
-    pub(crate) height: usize,
-    pub(crate) width: usize,
-    pub(crate) channels: usize,
+pub struct Layout {
+    pub height: usize,
+    pub width: usize,
+    pub channels: usize,
     /// Width of the border that is not compared in any view, pixels.
-    pub(crate) border: usize,
+    pub border: usize,
 }
 
 /// Returns the share of compared pixels for which `differs` is true in any channel.
-pub(crate) fn differing<T: Copy>(
+pub fn differing<T: Copy>(
     found: &[T],
     expected: &[T],
     layout: Layout,
@@ -34,31 +34,36 @@ pub(crate) fn differing<T: Copy>(
 }
 
 /// Fails if more than `most` of the pixels differ; prints the share in either case.
-pub(crate) fn assert_parity(what: &str, part: f64, most: f64) {
+pub fn assert_parity(what: &str, part: f64, most: f64) {
     eprintln!("{what}: {part:.2e} of the pixels differ, at most {most:.0e} may");
     assert!(part <= most, "{what}: {part:.2e} of the pixels differ, at most {most:.0e} may");
 }
 
-const SMALL: Layout = Layout { height: 10, width: 20, channels: 1, border: 1 };
+#[cfg(test)]
+mod tests {
+    use super::*;
 
-#[test]
-fn comparator_counts_differing_pixels() {
-    let expected = vec![5.0_f32; 400];
-    let mut found = expected.clone();
-    found[23] = 5.1; // view 0, row 1, column 3
-    found[200 + 45] = -300.0; // view 1, row 2
-    found[7] = 9.0; // the border does not count
-    let part = differing(&found, &expected, SMALL, |a, b| (a - b).abs() > 0.002);
-    assert!((part - 2.0 / (2.0 * 8.0 * 18.0)).abs() < 1e-12);
-    let rgb = Layout { channels: 3, ..SMALL };
-    let mut found = vec![0_u8; 600];
-    found[3 * 25..3 * 26].copy_from_slice(&[3, 3, 3]);
-    assert!(differing(&found, &[0; 600], rgb, |a, b| a.abs_diff(b) > 2) > 0.0);
-}
+    const SMALL: Layout = Layout { height: 10, width: 20, channels: 1, border: 1 };
 
-#[test]
-#[should_panic(expected = "of the pixels differ")]
-fn comparator_fails_on_too_many() {
-    let part = differing(&[1_u8; 200], &[0; 200], SMALL, |a, b| a != b);
-    assert_parity("class", part, 1e-4);
+    #[test]
+    fn comparator_counts_differing_pixels() {
+        let expected = vec![5.0_f32; 400];
+        let mut found = expected.clone();
+        found[23] = 5.1; // view 0, row 1, column 3
+        found[200 + 45] = -300.0; // view 1, row 2
+        found[7] = 9.0; // the border does not count
+        let part = differing(&found, &expected, SMALL, |a, b| (a - b).abs() > 0.002);
+        assert!((part - 2.0 / (2.0 * 8.0 * 18.0)).abs() < 1e-12);
+        let rgb = Layout { channels: 3, ..SMALL };
+        let mut found = vec![0_u8; 600];
+        found[3 * 25..3 * 26].copy_from_slice(&[3, 3, 3]);
+        assert!(differing(&found, &[0; 600], rgb, |a, b| a.abs_diff(b) > 2) > 0.0);
+    }
+
+    #[test]
+    #[should_panic(expected = "of the pixels differ")]
+    fn comparator_fails_on_too_many() {
+        let part = differing(&[1_u8; 200], &[0; 200], SMALL, |a, b| a != b);
+        assert_parity("class", part, 1e-4);
+    }
 }

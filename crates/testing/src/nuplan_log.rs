@@ -11,30 +11,35 @@ use rusqlite::Connection;
 
 use crate::tiny_log::camera_rotation;
 
-pub(crate) const LOG: &str = "2021.01.01.00.00.00_veh-01_00000_00001";
-pub(crate) const MAP: &str = "us-xx-nowhere";
+pub const LOG: &str = "2021.01.01.00.00.00_veh-01_00000_00001";
+pub const MAP: &str = "us-xx-nowhere";
 /// Camera channels around the ring, clockwise from the front camera.
-pub(crate) const RING: [&str; 8] =
-    ["CAM_F0", "CAM_R0", "CAM_R1", "CAM_R2", "CAM_B0", "CAM_L2", "CAM_L1", "CAM_L0"];
-pub(crate) const FRAMES: usize = 4;
-pub(crate) const FIRST_US: i64 = 1_600_000_000_000_000;
-pub(crate) const STEP_US: i64 = 50_000;
+pub const RING: [&str; 8] = ["CAM_F0", "CAM_R0", "CAM_R1", "CAM_R2", "CAM_B0", "CAM_L2", "CAM_L1", "CAM_L0"];
+pub const FRAMES: usize = 4;
+pub const FIRST_US: i64 = 1_600_000_000_000_000;
+pub const STEP_US: i64 = 50_000;
 /// Delay of an image after its frame, microseconds.
-pub(crate) const DELAY_US: i64 = 5_000;
+pub const DELAY_US: i64 = 5_000;
 /// Start position of the ego, global meters. It drives 1 m per frame along x, 0.1 m between a frame and its
 /// images.
-pub(crate) const START: DVec3 = DVec3::new(664_460.0, 3_997_715.0, 600.0);
-pub(crate) const CAMERA_Z: f64 = 1.5;
-pub(crate) const LIDAR_Z: f64 = 1.8;
+pub const START: DVec3 = DVec3::new(664_460.0, 3_997_715.0, 600.0);
+pub const CAMERA_Z: f64 = 1.5;
+pub const LIDAR_Z: f64 = 1.8;
 /// Distortion of the right front camera.
-pub(crate) const DISTORTION: [f64; 5] = [-0.3, 0.1, -0.002, 0.0005, -0.05];
+pub const DISTORTION: [f64; 5] = [-0.3, 0.1, -0.002, 0.0005, -0.05];
 const SIZE: [u32; 2] = [96, 64];
 
 /// A data set in its own folder.
-pub(crate) struct Made(tempfile::TempDir);
+pub struct Made(tempfile::TempDir);
+
+impl Default for Made {
+    fn default() -> Self {
+        Self::new()
+    }
+}
 
 impl Made {
-    pub(crate) fn new() -> Self {
+    pub fn new() -> Self {
         let made = Self(tempfile::tempdir().unwrap());
         for folder in ["nuplan-v1.1/splits/mini", &format!("maps/{MAP}/1.0")] {
             std::fs::create_dir_all(made.path(folder)).unwrap();
@@ -47,34 +52,34 @@ impl Made {
         made
     }
 
-    pub(crate) fn path(&self, name: &str) -> PathBuf {
+    pub fn path(&self, name: &str) -> PathBuf {
         self.0.path().join(name)
     }
 
-    pub(crate) fn database(&self) -> PathBuf {
+    pub fn database(&self) -> PathBuf {
         self.path(&format!("nuplan-v1.1/splits/mini/{LOG}.db"))
     }
 
-    pub(crate) fn blob(&self, name: &str) -> PathBuf {
+    pub fn blob(&self, name: &str) -> PathBuf {
         self.path("nuplan-v1.1/sensor_blobs").join(name)
     }
 
-    pub(crate) fn map(&self) -> PathBuf {
+    pub fn map(&self) -> PathBuf {
         self.path(&format!("maps/{MAP}/1.0/map.gpkg"))
     }
 
     /// Runs statements on the log.
-    pub(crate) fn sql(&self, statements: &str) {
+    pub fn sql(&self, statements: &str) {
         Connection::open(self.database()).unwrap().execute_batch(statements).unwrap();
     }
 
     /// Runs statements on the map.
-    pub(crate) fn map_sql(&self, statements: &str) {
+    pub fn map_sql(&self, statements: &str) {
         Connection::open(self.map()).unwrap().execute_batch(statements).unwrap();
     }
 
     /// Returns the map of a new log after these statements, with what reading it counts.
-    pub(crate) fn map_and_notes(statements: &str) -> (VectorMap, Vec<(String, usize)>) {
+    pub fn map_and_notes(statements: &str) -> (VectorMap, Vec<(String, usize)>) {
         let made = Self::new();
         made.map_sql(statements);
         let map = made.open().unwrap().read_map().unwrap().unwrap();
@@ -82,17 +87,17 @@ impl Made {
         (map, notes)
     }
 
-    pub(crate) fn locator(&self) -> LogLocator {
+    pub fn locator(&self) -> LogLocator {
         LogLocator::new(&point_skeleton::dataset::nuplan::FORMAT, self.database())
     }
 
-    pub(crate) fn open(&self) -> Result<NuPlan, DatasetError> {
+    pub fn open(&self) -> Result<NuPlan, DatasetError> {
         NuPlan::open(&self.locator())
     }
 
     /// Opens the log and checks that the error message contains all parts and ends with the log's file.
     #[track_caller]
-    pub(crate) fn refuses(&self, parts: &[&str]) {
+    pub fn refuses(&self, parts: &[&str]) {
         let message = self.open().expect_err("a damaged log").to_string();
         assert_says(&message, parts, &format!("{LOG}.db"));
     }
@@ -115,7 +120,7 @@ impl Made {
 }
 
 #[track_caller]
-pub(crate) fn assert_says(message: &str, parts: &[&str], ending: &str) {
+pub fn assert_says(message: &str, parts: &[&str], ending: &str) {
     assert!(message.ends_with(ending), "{message:?} does not end with {ending:?}");
     for part in parts {
         assert!(message.contains(part), "{message:?} does not contain {part:?}");
@@ -127,21 +132,21 @@ fn write(path: &Path, bytes: &[u8]) {
     std::fs::write(path, bytes).unwrap();
 }
 
-pub(crate) fn sweep_file(frame: usize) -> String {
+pub fn sweep_file(frame: usize) -> String {
     format!("{LOG}/MergedPointCloud/{frame}.pcd")
 }
 
-pub(crate) fn image_file(camera: &str, shot: usize) -> String {
+pub fn image_file(camera: &str, shot: usize) -> String {
     format!("{LOG}/{camera}/{shot}.jpg")
 }
 
 /// Returns a token as SQL: a letter for the table, then a number.
-pub(crate) fn token(table: char, number: usize) -> String {
+pub fn token(table: char, number: usize) -> String {
     format!("x'{:02x}{number:014x}'", table as u32)
 }
 
 /// Returns a pickled list of numbers, as SQL.
-pub(crate) fn pickled(numbers: &[f64]) -> String {
+pub fn pickled(numbers: &[f64]) -> String {
     format!("x'8004{}2e'", list(numbers))
 }
 
@@ -155,12 +160,12 @@ fn list(numbers: &[f64]) -> String {
     format!("5d28{}65", numbers.iter().map(number).collect::<String>())
 }
 
-pub(crate) fn ego_at(frame: f64) -> DVec3 {
+pub fn ego_at(frame: f64) -> DVec3 {
     START + DVec3::X * frame
 }
 
 /// Returns the car's center. Its back is 10 m ahead of the ego, and it drives as the ego does.
-pub(crate) fn car_at(frame: usize) -> DVec3 {
+pub fn car_at(frame: usize) -> DVec3 {
     ego_at(frame as f64) + DVec3::new(12.0, 0.0, 0.75)
 }
 
@@ -307,17 +312,17 @@ fn tables() -> String {
 }
 
 /// Returns width, length, height of a track, meters.
-pub(crate) fn sizes(track: usize) -> [f64; 3] {
+pub fn sizes(track: usize) -> [f64; 3] {
     if track == 0 { [2.0, 4.0, 1.5] } else { [0.6, 1.8, 1.0] }
 }
 
 /// Bounds of a rectangle, degrees.
-pub(crate) const WEST: f64 = -115.1729;
-pub(crate) const EAST: f64 = -115.1727;
-pub(crate) const SOUTH: f64 = 36.1101;
-pub(crate) const NORTH: f64 = 36.1103;
+pub const WEST: f64 = -115.1729;
+pub const EAST: f64 = -115.1727;
+pub const SOUTH: f64 = 36.1101;
+pub const NORTH: f64 = 36.1103;
 /// Its corners south-west, north-west, north-east, south-east in UTM zone 11, meters, by PROJ 9.5.1.
-pub(crate) const CORNERS: [[f64; 2]; 4] = [
+pub const CORNERS: [[f64; 2]; 4] = [
     [664_451.567_964_090_5, 3_997_705.869_355_971_5],
     [664_451.150_855_567_1, 3_997_728.056_162_812],
     [664_469.154_065_432_7, 3_997_728.394_639_708_6],
@@ -325,7 +330,7 @@ pub(crate) const CORNERS: [[f64; 2]; 4] = [
 ];
 
 /// Returns the well-known binary of a line or a closed ring in a GeoPackage, as SQL.
-pub(crate) fn geometry(is_polygon: bool, points: &[[f64; 2]]) -> String {
+pub fn geometry(is_polygon: bool, points: &[[f64; 2]]) -> String {
     let mut hex = String::from("x'47500001e6100000");
     hex += if is_polygon { "010300000001000000" } else { "0102000000" };
     let le = |bytes: &[u8]| bytes.iter().fold(String::new(), |text, b| format!("{text}{b:02x}"));

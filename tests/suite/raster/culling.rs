@@ -8,7 +8,7 @@ use point_skeleton::raster::{
 };
 
 use super::random::Random;
-use super::twins::assert_same;
+use pskel_testing::devices::assert_same;
 
 /// A camera at the origin that looks along z, turned by an angle in degrees.
 fn view(turn_deg: f64) -> View {

@@ -6,7 +6,7 @@ use point_skeleton::dataset::LogReader;
 use point_skeleton::dataset::av2::read_map_file;
 use serde_json::{Value, json};
 
-use crate::av2_log::{MAP, TinyAv2, map};
+use pskel_testing::av2_log::{MAP, TinyAv2, map};
 
 fn read_map(map: &Value) -> Result<usize, String> {
     let folder = tempfile::tempdir().unwrap();

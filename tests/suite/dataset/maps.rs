@@ -4,8 +4,8 @@ use point_skeleton::dataset::VectorMap;
 use point_skeleton::dataset::av2::read_map_file;
 use serde_json::{Value, json};
 
-use crate::av2_log::map;
-use crate::nuplan_made::{Made, geometry};
+use pskel_testing::av2_log::map;
+use pskel_testing::nuplan_log::{Made, geometry};
 
 const UNMARKED: &str = "lane boundaries without a mark type (not drawn)";
 

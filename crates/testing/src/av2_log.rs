@@ -22,17 +22,17 @@ use serde_json::{Value, json};
 
 use crate::tiny_log::camera_rotation;
 
-pub(crate) const LOG_ID: &str = "0a1b2c3d";
-pub(crate) const FRAMES: usize = 3;
-pub(crate) const FIRST_NS: i64 = 315_966_000_000_000_123;
-pub(crate) const STEP_NS: i64 = 100_000_000;
+pub const LOG_ID: &str = "0a1b2c3d";
+pub const FRAMES: usize = 3;
+pub const FIRST_NS: i64 = 315_966_000_000_000_123;
+pub const STEP_NS: i64 = 100_000_000;
 /// Delay of an image after its frame, ns.
-pub(crate) const IMAGE_NS: i64 = 10_000_000;
+pub const IMAGE_NS: i64 = 10_000_000;
 /// Start position of the ego, meters in city coordinates.
-pub(crate) const START: DVec3 = DVec3::new(5000.0, 2000.0, 60.0);
-pub(crate) const SIZE: [u16; 2] = [48, 64];
+pub const START: DVec3 = DVec3::new(5000.0, 2000.0, 60.0);
+pub const SIZE: [u16; 2] = [48, 64];
 /// Cameras in ring order, with their yaw to the left in degrees.
-pub(crate) const RING: [(&str, f64); 7] = [
+pub const RING: [(&str, f64); 7] = [
     ("ring_front_center", 0.0),
     ("ring_front_right", -45.0),
     ("ring_side_right", -90.0),
@@ -41,18 +41,24 @@ pub(crate) const RING: [(&str, f64); 7] = [
     ("ring_side_left", 90.0),
     ("ring_front_left", 45.0),
 ];
-pub(crate) const MAP: &str = "map/log_map_archive_0a1b2c3d____PIT_city_1.json";
+pub const MAP: &str = "map/log_map_archive_0a1b2c3d____PIT_city_1.json";
 
 /// Columns of a table, with their names.
-pub(crate) type Columns = Vec<(String, ArrayRef)>;
+pub type Columns = Vec<(String, ArrayRef)>;
 
 /// A folder that contains one log.
-pub(crate) struct TinyAv2 {
+pub struct TinyAv2 {
     folder: tempfile::TempDir,
 }
 
+impl Default for TinyAv2 {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
 impl TinyAv2 {
-    pub(crate) fn new() -> Self {
+    pub fn new() -> Self {
         let log = Self { folder: tempfile::tempdir().unwrap() };
         for folder in ["calibration", "map", "sensors/lidar", "sensors/cameras"] {
             std::fs::create_dir_all(log.path(folder)).unwrap();
@@ -78,21 +84,21 @@ impl TinyAv2 {
     }
 
     /// Returns the folder that contains the log.
-    pub(crate) fn root(&self) -> &Path {
+    pub fn root(&self) -> &Path {
         self.folder.path()
     }
 
     /// Returns the path of a log file.
-    pub(crate) fn path(&self, name: &str) -> PathBuf {
+    pub fn path(&self, name: &str) -> PathBuf {
         self.root().join(LOG_ID).join(name)
     }
 
-    pub(crate) fn open(&self) -> Result<Argoverse, DatasetError> {
+    pub fn open(&self) -> Result<Argoverse, DatasetError> {
         Argoverse::open(&LogLocator::new(&point_skeleton::dataset::av2::FORMAT, self.path("")))
     }
 
     /// Edits the columns of a table.
-    pub(crate) fn edit(&self, name: &str, edit: impl FnOnce(&mut Columns)) {
+    pub fn edit(&self, name: &str, edit: impl FnOnce(&mut Columns)) {
         let path = self.path(name);
         let mut columns = read(&path);
         edit(&mut columns);
@@ -101,7 +107,7 @@ impl TinyAv2 {
 
     /// Opens the log and checks that the error message contains all parts and ends with the file's name.
     #[track_caller]
-    pub(crate) fn refuses(&self, parts: &[&str], ending: &str) {
+    pub fn refuses(&self, parts: &[&str], ending: &str) {
         let message = self.open().expect_err("a damaged log").to_string();
         assert!(message.ends_with(ending), "{message:?} does not end with {ending:?}");
         for part in parts {
@@ -111,12 +117,12 @@ impl TinyAv2 {
 }
 
 /// Replaces a column.
-pub(crate) fn set(columns: &mut Columns, name: &str, values: ArrayRef) {
+pub fn set(columns: &mut Columns, name: &str, values: ArrayRef) {
     columns.iter_mut().find(|(n, _)| n == name).unwrap().1 = values;
 }
 
 /// Changes one number of an `f64` column.
-pub(crate) fn set_number(columns: &mut Columns, name: &str, row: usize, value: f64) {
+pub fn set_number(columns: &mut Columns, name: &str, row: usize, value: f64) {
     let (_, column) = columns.iter_mut().find(|(n, _)| n == name).unwrap();
     let old = column.as_any().downcast_ref::<Float64Array>().unwrap();
     let mut numbers = old.values().to_vec();
@@ -124,19 +130,19 @@ pub(crate) fn set_number(columns: &mut Columns, name: &str, row: usize, value: f
     *column = Arc::new(Float64Array::from(numbers));
 }
 
-pub(crate) fn texts(values: &[&str]) -> ArrayRef {
+pub fn texts(values: &[&str]) -> ArrayRef {
     Arc::new(StringArray::from(values.to_vec()))
 }
 
-pub(crate) fn integers(values: Vec<i64>) -> ArrayRef {
+pub fn integers(values: Vec<i64>) -> ArrayRef {
     Arc::new(Int64Array::from(values))
 }
 
-pub(crate) fn numbers(values: Vec<f64>) -> ArrayRef {
+pub fn numbers(values: Vec<f64>) -> ArrayRef {
     Arc::new(Float64Array::from(values))
 }
 
-pub(crate) fn write(path: &Path, columns: Columns, compression: Option<CompressionType>) {
+pub fn write(path: &Path, columns: Columns, compression: Option<CompressionType>) {
     let batch = RecordBatch::try_from_iter(columns).unwrap();
     let options = IpcWriteOptions::default().try_with_compression(compression).unwrap();
     let file = File::create(path).unwrap();
@@ -146,21 +152,21 @@ pub(crate) fn write(path: &Path, columns: Columns, compression: Option<Compressi
 }
 
 /// Reads the columns of a one-batch table.
-pub(crate) fn read(path: &Path) -> Columns {
+pub fn read(path: &Path) -> Columns {
     let batch = FileReader::try_new(File::open(path).unwrap(), None).unwrap().next().unwrap().unwrap();
     let names = batch.schema().fields().iter().map(|f| f.name().clone()).collect::<Vec<_>>();
     names.into_iter().zip(batch.columns().iter().cloned()).collect()
 }
 
-pub(crate) fn frame_ns(frame: usize) -> i64 {
+pub fn frame_ns(frame: usize) -> i64 {
     FIRST_NS + STEP_NS * frame as i64
 }
 
-pub(crate) fn sweep(frame: usize) -> String {
+pub fn sweep(frame: usize) -> String {
     format!("sensors/lidar/{}.feather", frame_ns(frame))
 }
 
-pub(crate) fn picture(frame: usize, camera: &str) -> String {
+pub fn picture(frame: usize, camera: &str) -> String {
     format!("sensors/cameras/{camera}/{}.jpg", frame_ns(frame) + IMAGE_NS)
 }
 
@@ -266,7 +272,7 @@ fn sweep_columns() -> Columns {
     ])
 }
 
-pub(crate) fn map() -> Value {
+pub fn map() -> Value {
     let line = |points: &[[f64; 2]]| -> Value {
         points.iter().map(|[x, y]| json!({"x": START.x + x, "y": START.y + y, "z": START.z})).collect()
     };

@@ -11,4 +11,3 @@ mod forked;
 mod frames;
 mod quotient;
 mod random;
-pub(crate) mod twins;

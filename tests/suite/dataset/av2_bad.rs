@@ -10,7 +10,7 @@ use point_skeleton::dataset::LogReader;
 use point_skeleton::dataset::av2::read_sweep_file;
 use proptest::prelude::*;
 
-use crate::av2_log::{
+use pskel_testing::av2_log::{
     Columns, FIRST_NS, FRAMES, IMAGE_NS, RING, STEP_NS, TinyAv2, frame_ns, integers, numbers, picture, read,
     set, set_number, sweep, texts, write,
 };

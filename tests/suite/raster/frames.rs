@@ -15,7 +15,7 @@ use point_skeleton::raster::{
 use proptest::prelude::*;
 
 use super::random::{Random, random_cloud, random_instances, random_schedule, random_view};
-use super::twins::{self, Division, rasterizers, with_compute_device, with_device};
+use pskel_testing::devices::{self, Division, rasterizers, with_compute_device, with_device};
 
 /// Content of a random frame.
 struct Scene {

@@ -12,10 +12,10 @@ use point_skeleton::raster::{
     GraphicsRasterizerDesc, Instance, MapSet, Rasterizer, SplatJob, SplatMaps, SplatSchedule,
 };
 
-use crate::common::skip;
+use crate::shared::skip;
 
 /// Runs a test with a device under validation; fails on any message, also on destruction of the device.
-pub(crate) fn with_device<T>(test: impl FnOnce(Arc<Device>) -> T) -> T {
+pub fn with_device<T>(test: impl FnOnce(Arc<Device>) -> T) -> T {
     let desc = DeviceDesc { validation: true, ..DeviceDesc::from_env() };
     let device = Device::new(&desc).unwrap_or_else(|e| panic!("{e}"));
     let messages = device.validation_messages();
@@ -26,16 +26,16 @@ pub(crate) fn with_device<T>(test: impl FnOnce(Arc<Device>) -> T) -> T {
 
 /// Work division of a device's rasterizers, for tests that change it.
 #[derive(Clone, Copy, Debug, Default)]
-pub(crate) struct Division {
-    pub(crate) raster: GraphicsRasterizerDesc,
-    pub(crate) compute: ComputeRasterizerDesc,
+pub struct Division {
+    pub raster: GraphicsRasterizerDesc,
+    pub compute: ComputeRasterizerDesc,
 }
 
 /// Name of Mesa's lavapipe, which supports all rasterizers.
 const LAVAPIPE: &str = "llvmpipe";
 
 /// Runs a test with a device that supports `compute`; skips it on other devices.
-pub(crate) fn with_compute_device(test: impl FnOnce(Arc<Device>)) {
+pub fn with_compute_device(test: impl FnOnce(Arc<Device>)) {
     with_device(|device| if has_compute(&device) { test(device) } else { skip("no 64-bit atomics") });
 }
 
@@ -45,7 +45,7 @@ fn has_compute(device: &Device) -> bool {
 }
 
 /// Creates all rasterizers that a device supports, and the processor's.
-pub(crate) fn rasterizers<'a>(
+pub fn rasterizers<'a>(
     device: &Arc<Device>,
     clouds: &CloudSet<'a>,
     division: Division,
@@ -67,7 +67,7 @@ pub(crate) fn rasterizers<'a>(
 }
 
 /// Returns how many pixels differ in any plane. Maps of different sizes or planes differ everywhere.
-pub(crate) fn differing(a: &SplatMaps, b: &SplatMaps) -> usize {
+pub fn differing(a: &SplatMaps, b: &SplatMaps) -> usize {
     let lengths = |m: &SplatMaps| {
         [
             m.width as usize,
@@ -93,23 +93,23 @@ pub(crate) fn differing(a: &SplatMaps, b: &SplatMaps) -> usize {
 }
 
 /// Fails if two rasterizers differ on any pixel.
-pub(crate) fn assert_same(a: &SplatMaps, b: &SplatMaps, what: &str) {
+pub fn assert_same(a: &SplatMaps, b: &SplatMaps, what: &str) {
     let count = differing(a, b);
     assert_eq!(count, 0, "{what}: {count} of {}x{} pixels differ", a.width, a.height);
 }
 
 /// Input of a hand-computed case: one cloud per entry, all at the origin, and a camera at the origin.
-pub(crate) struct Case {
-    pub(crate) clouds: Vec<Vec<Point>>,
-    pub(crate) view: View,
-    pub(crate) schedule: SplatSchedule,
-    pub(crate) instances: Vec<Instance>,
+pub struct Case {
+    pub clouds: Vec<Vec<Point>>,
+    pub view: View,
+    pub schedule: SplatSchedule,
+    pub instances: Vec<Instance>,
 }
 
 impl Case {
     /// Creates a camera of focal length 1 with its principal point at the corner: the point `(i·z, j·z, z)`
     /// is in pixel (i, j).
-    pub(crate) fn new(width: u32, height: u32, schedule: &str, clouds: &[&[Point]]) -> Self {
+    pub fn new(width: u32, height: u32, schedule: &str, clouds: &[&[Point]]) -> Self {
         let rows = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
         let camera = Camera::new("test", width, height, rows).unwrap();
         let instance = |cloud| Instance {
@@ -126,7 +126,7 @@ impl Case {
     }
 
     /// Renders maps with all rasterizers, which must agree.
-    pub(crate) fn draw(&self, maps: MapSet) -> SplatMaps {
+    pub fn draw(&self, maps: MapSet) -> SplatMaps {
         let clouds: CloudSet<'_> = self.clouds.iter().map(Vec::as_slice).collect();
         let job = SplatJob {
             view: &self.view,
@@ -146,26 +146,31 @@ impl Case {
     }
 }
 
-/// A comparator that cannot fail proves nothing.
-#[test]
-fn the_comparator_sees_each_plane() {
-    let point = Point::new([1.0, 1.0, 1.0], [1, 2, 3], 1);
-    let maps = Case::new(3, 3, "9:0", &[&[point]]).draw(MapSet::SPLATTED);
-    assert_eq!(differing(&maps, &maps), 0);
-    let change = |edit: &dyn Fn(&mut SplatMaps)| {
-        let mut other = maps.clone();
-        edit(&mut other);
-        differing(&maps, &other)
-    };
-    assert_eq!(change(&|m| m.point[0] = 7), 1);
-    assert_eq!(change(&|m| m.depth_m[4] = m.depth_m[4].next_up()), 1);
-    assert_eq!(change(&|m| m.rgb_class[8] ^= 1 << 24), 1);
-    assert_eq!(change(&|m| m.instance.fill(9)), 9);
-    assert_eq!(change(&|m| m.instance.clear()), 9);
-    let failed = std::panic::catch_unwind(|| {
-        let mut other = maps.clone();
-        other.point[0] = 7;
-        assert_same(&maps, &other, "one pixel");
-    });
-    assert!(failed.is_err());
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A comparator that cannot fail proves nothing.
+    #[test]
+    fn the_comparator_sees_each_plane() {
+        let point = Point::new([1.0, 1.0, 1.0], [1, 2, 3], 1);
+        let maps = Case::new(3, 3, "9:0", &[&[point]]).draw(MapSet::SPLATTED);
+        assert_eq!(differing(&maps, &maps), 0);
+        let change = |edit: &dyn Fn(&mut SplatMaps)| {
+            let mut other = maps.clone();
+            edit(&mut other);
+            differing(&maps, &other)
+        };
+        assert_eq!(change(&|m| m.point[0] = 7), 1);
+        assert_eq!(change(&|m| m.depth_m[4] = m.depth_m[4].next_up()), 1);
+        assert_eq!(change(&|m| m.rgb_class[8] ^= 1 << 24), 1);
+        assert_eq!(change(&|m| m.instance.fill(9)), 9);
+        assert_eq!(change(&|m| m.instance.clear()), 9);
+        let failed = std::panic::catch_unwind(|| {
+            let mut other = maps.clone();
+            other.point[0] = 7;
+            assert_same(&maps, &other, "one pixel");
+        });
+        assert!(failed.is_err());
+    }
 }

@@ -7,7 +7,7 @@ use point_skeleton::dataset::nuscenes::{NuScenes, read_sweep_file};
 use point_skeleton::dataset::{LogLocator, LogReader, Recording, Sweep, TrackBox};
 use point_skeleton::geometry::{Cuboid, Pose};
 
-use crate::common::shared;
+use pskel_testing::shared::shared;
 
 fn open(path: &Path) -> NuScenes {
     let path = path.to_owned();

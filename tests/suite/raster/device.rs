@@ -3,7 +3,7 @@
 use point_skeleton::gpu::{Device, DeviceDesc, GpuError};
 use point_skeleton::raster::{RasterizerDesc, RasterizerKind, create};
 
-use super::twins::with_device;
+use pskel_testing::devices::with_device;
 
 #[test]
 fn an_unknown_device_lists_those_there_are() {

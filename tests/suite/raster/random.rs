@@ -9,7 +9,7 @@ use point_skeleton::raster::{
     SplatSchedule, SplatStep,
 };
 
-use super::twins::{Division, assert_same, rasterizers, with_device};
+use pskel_testing::devices::{Division, assert_same, rasterizers, with_device};
 
 /// SplitMix64 (Steele, Lea, Flood 2014): the same numbers for the same seed on every platform.
 pub(crate) struct Random(pub(crate) u64);

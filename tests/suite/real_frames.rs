@@ -10,8 +10,8 @@ use point_skeleton::raster::{
 use point_skeleton::scene::{EgoOffset, SceneClouds, SelectionOptions, Substitutes, state_of_frame};
 use point_skeleton::skeleton::BuildOptions;
 
-use crate::common::{shared, skeleton_of};
-use crate::raster::twins::{Division, rasterizers, with_device};
+use pskel_testing::devices::{Division, rasterizers, with_device};
+use pskel_testing::shared::{shared, skeleton_of};
 
 /// Compares every pixel of every map of two frames.
 fn differing(a: &FrameMaps<'_>, b: &FrameMaps<'_>) -> [usize; 2] {

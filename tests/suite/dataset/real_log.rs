@@ -10,7 +10,7 @@ use point_skeleton::skeleton::{BuildOptions, Skeleton};
 use rstar::{PointDistance, RTree};
 use tempfile::TempDir;
 
-use crate::common::{WithLog, shared, skeleton_of};
+use pskel_testing::shared::{WithLog, shared, skeleton_of};
 
 const FRAMES: [usize; 6] = [0, 2, 4, 6, 8, 10];
 

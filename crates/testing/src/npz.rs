@@ -5,13 +5,13 @@ use std::path::Path;
 
 /// Array of an NPZ.
 #[derive(Clone, Debug, PartialEq)]
-pub(crate) struct Array<T> {
-    pub(crate) shape: Vec<usize>,
-    pub(crate) data: Vec<T>,
+pub struct Array<T> {
+    pub shape: Vec<usize>,
+    pub data: Vec<T>,
 }
 
 /// Reads one array of an archive.
-pub(crate) fn read<T: npyz::Deserialize>(path: &Path, name: &str) -> Array<T> {
+pub fn read<T: npyz::Deserialize>(path: &Path, name: &str) -> Array<T> {
     let mut archive = zip::ZipArchive::new(std::fs::File::open(path).unwrap()).unwrap();
     let mut bytes = Vec::new();
     archive.by_name(&format!("{name}.npy")).unwrap().read_to_end(&mut bytes).unwrap();

@@ -15,8 +15,8 @@ use point_skeleton::raster::Instance;
 use point_skeleton::raster::reference::ReferenceRasterizer;
 use point_skeleton::scene::{ActorState, SceneCamera, SceneInstances, SceneMap, SceneState};
 
-use crate::parity::{Layout, assert_parity, differing};
-use crate::{common, npz};
+use pskel_testing::parity::{Layout, assert_parity, differing};
+use pskel_testing::{npz, shared as common};
 
 #[derive(serde::Deserialize)]
 struct Peers {
