@@ -21,7 +21,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn ones_are_the_bits_that_are_set() {
+    fn ones_yields_set_bits() {
         assert_eq!(Ones(1 << 63 | 0b10_0001).collect::<Vec<_>>(), [0, 5, 63]);
         assert_eq!(Ones(0).count(), 0);
     }

@@ -175,7 +175,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn pool_has_the_threads_that_rayon_would_choose() {
+    fn pool_size_matches_rayons_choice() {
         let threads = |first: Option<&str>, second: Option<&str>| {
             let texts = [first, second].map(|text| text.map(str::to_owned));
             pool_threads(|name| texts[usize::from(name != POOL_VARIABLES[0])].clone())

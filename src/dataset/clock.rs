@@ -226,7 +226,7 @@ mod tests {
     const T_US: i64 = 1_557_539_956_493_730;
 
     #[test]
-    fn differences_up_to_a_second_are_no_offset() {
+    fn differences_up_to_a_second_are_ignored() {
         for t_us in [T_US, T_US + 20_000, T_US - 1_000_000, T_US + 1_000_000] {
             assert_eq!(Offset::of(t_us, T_US), None);
         }
@@ -273,7 +273,7 @@ mod tests {
 
     #[test]
     #[cfg(feature = "av2")]
-    fn units_are_those_of_the_format() {
+    fn units_follow_the_format() {
         let nanos = |t_us: i64| {
             let span = [T_US, T_US + 5_000_000];
             Offset::of_all([t_us].into_iter(), span, Unit::NANOS).unwrap().to_string()

@@ -122,7 +122,7 @@ mod tests {
 
     /// Any truncation of the pixel data removes the end marker.
     #[test]
-    fn truncated_files_are_refused() {
+    fn rejects_truncated_files() {
         let folder = tempfile::tempdir().unwrap();
         let (jpeg, png) = (folder.path().join("a.jpg"), folder.path().join("a.png"));
         let image = RgbImage::from_fn(64, 48, |x, y| image::Rgb([4 * x as u8, 5 * y as u8, (x * y) as u8]));
@@ -150,7 +150,7 @@ mod tests {
     }
 
     #[test]
-    fn messages_are_in_words() {
+    fn messages_are_readable() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("a.png");
         let zeros = [b"\x89PNG\r\n\x1a\n".as_slice(), &[0; 400]].concat();

@@ -258,7 +258,7 @@ mod tests {
     }
 
     #[test]
-    fn pointers_and_error_pages_are_no_content() {
+    fn rejects_pointers_and_error_pages() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("a.jpg");
         for (text, found) in [
@@ -274,7 +274,7 @@ mod tests {
     }
 
     #[test]
-    fn names_lead_below_the_folder() {
+    fn names_resolve_below_the_folder() {
         let root = DataRoot { path: "/data".into(), allow_outside: false };
         let open = DataRoot { allow_outside: true, ..root.clone() };
         for (name, path) in [("a/b.jpg", "/data/a/b.jpg"), ("./a", "/data/a"), ("a..b/..c", "/data/a..b/..c")]

@@ -165,7 +165,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_file_is_held_once() {
+    fn a_file_is_locked_once() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("lock");
         let mut held = LockedFile::open(&path, Path::new("out")).unwrap();
@@ -181,7 +181,7 @@ mod tests {
     }
 
     #[test]
-    fn links_and_folders_are_no_locks() {
+    fn rejects_links_and_folders_as_locks() {
         let folder = tempfile::tempdir().unwrap();
         let (target, link) = (folder.path().join("target"), folder.path().join("link"));
         std::fs::write(&target, "precious").unwrap();

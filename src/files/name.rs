@@ -228,7 +228,7 @@ mod tests {
     }
 
     #[test]
-    fn upper_and_lower_case_are_one() {
+    fn case_is_ignored() {
         let names = ["a", "b", "É", "A", "é"].map(|name| FileName::new(name).unwrap());
         assert_eq!(first_twice(&names).map(FileName::as_str), Some("A"));
         assert_eq!(first_twice(&names[..3]), None);

@@ -49,7 +49,7 @@ mod tests {
     use std::os::unix::fs::symlink;
 
     #[test]
-    fn places_need_not_exist() {
+    fn paths_may_not_exist() {
         let folder = tempfile::tempdir().unwrap();
         let root = folder.path().canonicalize().unwrap();
         let at = |name: &str| root.join(name);

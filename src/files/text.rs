@@ -88,7 +88,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_acts_on_a_terminal_is_escaped() {
+    fn terminal_controls_are_escaped() {
         assert_eq!(printable("CAM_FRONT é 😀"), "CAM_FRONT é 😀");
         assert_eq!(printable("\u{1b}[2J\u{7}a\nb\tc\r\0"), "\\x1b[2J\\x07a\\nb\\tc\\r\\x00");
         assert_eq!(printable("\u{9b}31m\u{202e}x\u{2028}"), "\\u009b31m\\u202ex\\u2028");

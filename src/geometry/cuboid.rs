@@ -84,7 +84,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn sizes_between_two_boxes_are_linear_and_stay_where_they_are_alike() {
+    fn sizes_are_interpolated_linearly_and_equal_sizes_are_kept() {
         let of = |height_m: f64| Cuboid { pose: Pose::IDENTITY, size: DVec3::new(4.0, 2.0, height_m) };
         for step in 0..=100 {
             let s = f64::from(step) / 100.0;

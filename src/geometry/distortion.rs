@@ -161,7 +161,7 @@ mod tests {
     }
 
     #[test]
-    fn lenses_turn_back_where_their_slope_is_zero() {
+    fn the_valid_radius_ends_where_the_slope_is_zero() {
         // Zero of 1 + 3 k1 r².
         assert!((lens([-0.3, 0.0, 0.0, 0.0, 0.0]).limit_r2 - 1.0 / 0.9).abs() < 1e-12);
         // 1 - 2.5 r² + r⁴ = (1 - r²/2)(1 - 2 r²) has two zeros; the smaller one counts.
@@ -175,7 +175,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_lies_beyond_the_turn() {
+    fn points_beyond_the_valid_radius_are_rejected() {
         let lens = lens([-0.3, 0.0, 0.0, 0.0, 0.0]);
         let limit = (1.0_f64 / 0.9).sqrt();
         assert!(lens.distort(DVec2::X * (limit - 1e-9)).is_some());

@@ -170,7 +170,7 @@ mod tests {
     }
 
     #[test]
-    fn feet_undo_places() {
+    fn foot_inverts_position() {
         let way = corner();
         for station_m in [-3.0, 0.5, 2.0, 4.0, 6.5, 11.0] {
             for offset_m in [-0.9, 0.0, 0.4] {
@@ -195,7 +195,7 @@ mod tests {
     }
 
     #[test]
-    fn parts_keep_corners_and_samples_are_even() {
+    fn parts_retain_corners_and_samples_are_even() {
         let way = corner();
         let points = |points: &[(f64, f64)]| points.iter().copied().map(DVec2::from).collect::<Vec<_>>();
         assert_eq!(way.part(1.0, 5.0), points(&[(1.0, 0.0), (3.0, 0.0), (3.0, 2.0)]));
@@ -204,7 +204,7 @@ mod tests {
     }
 
     #[test]
-    fn what_has_no_length_is_no_way() {
+    fn rejects_paths_without_length() {
         assert_eq!(Polyline::new([DVec2::ONE; 5]), None);
         assert_eq!(Polyline::new([DVec2::ONE]), None);
         assert_eq!(Polyline::new([DVec2::ZERO, DVec2::new(f64::NAN, 0.0)]), None);

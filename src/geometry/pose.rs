@@ -153,7 +153,7 @@ mod tests {
     }
 
     #[test]
-    fn interpolation_goes_the_shorter_way() {
+    fn interpolation_takes_the_shorter_arc() {
         let a = Pose::from_yaw(3.0, DVec3::ZERO);
         let b = Pose::from_yaw(-3.0, DVec3::X);
         let half = a.interpolate(&b, 0.5);

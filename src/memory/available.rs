@@ -194,7 +194,7 @@ mod tests {
     }
 
     #[test]
-    fn fields_of_the_system_are_read() {
+    fn reads_fields_of_meminfo() {
         let meminfo = "MemTotal: 100 kB\nMemFree: 1 kB\nMemAvailable:   60 kB\nSwapFree: 4 kB\n";
         assert_eq!(system(meminfo), Some(64 << 10));
         assert_eq!((system("MemTotal: 5 kB"), system("")), (None, None));
@@ -223,7 +223,7 @@ mod tests {
     }
 
     #[test]
-    fn something_is_available_here() {
+    fn some_memory_is_available() {
         let found = available();
         assert!(found.bytes > 1 << 20 && found.bytes < 1 << 50, "{found:?}");
         assert!(taken_bytes() > 0);

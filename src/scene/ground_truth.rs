@@ -118,7 +118,7 @@ mod tests {
     /// Pixel values encode pixel positions, so the rectified image shows where the lens put each point of the
     /// pinhole.
     #[test]
-    fn rectified_images_show_what_a_pinhole_sees() {
+    fn rectified_images_match_a_pinhole() {
         let (width, height) = (200, 120);
         let rows = [[150.0, 0.0, 97.0], [0.0, 160.0, 63.0], [0.0, 0.0, 1.0]];
         let pinhole = Camera::new("c", width, height, rows).unwrap();

@@ -215,7 +215,7 @@ mod tests {
     }
 
     #[test]
-    fn of_equally_near_origins_the_first_gives_the_height() {
+    fn equally_near_origins_use_the_first_height() {
         let ring = [DVec3::new(1.0, 0.0, 5.0), DVec3::new(-1.0, 0.0, 3.0), DVec3::new(0.0, 1.0, 4.0)];
         assert_eq!(Ground::of(&log(&ring)).under(DVec2::ZERO), Some(DVec3::new(0.0, 0.0, 5.0)));
         let turned: Vec<DVec3> = ring.into_iter().rev().collect();
@@ -223,7 +223,7 @@ mod tests {
     }
 
     #[test]
-    fn edges_close_their_rings_and_come_by_layer() {
+    fn edges_close_rings_and_are_sorted_by_layer() {
         let with_hole = Area { exterior: square(DVec2::ZERO, 9.0), holes: vec![square(DVec2::ONE, 2.0)] };
         let map = VectorMap {
             lanes: vec![lane(DVec2::ZERO, 3.0)],
@@ -273,7 +273,7 @@ mod tests {
     }
 
     #[test]
-    fn a_window_finds_what_a_scan_finds() {
+    fn a_window_query_equals_a_scan() {
         let mut number = numbers();
         let mut areas = |count: usize| -> Vec<Area> {
             let place = |n: f64, m: f64| DVec2::new(600_000.0, 4_000_000.0) + DVec2::new(n, m) * 900.0;
@@ -297,7 +297,7 @@ mod tests {
     }
 
     #[test]
-    fn what_has_no_place_or_height_is_left_out() {
+    fn edges_without_position_or_height_are_skipped() {
         let mut broken = area(DVec2::ZERO, 2.0);
         broken.exterior[1].x = f64::NAN;
         let map = VectorMap { crossings: vec![broken, Area::default()], ..VectorMap::default() };

@@ -243,7 +243,7 @@ mod tests {
     }
 
     #[test]
-    fn the_table_of_two_clouds() {
+    fn the_two_clouds_table_is_followed() {
         let folder = tempfile::tempdir().unwrap();
         let skeleton = skeleton(&folder.path().join("s"));
         let scene_clouds = SceneClouds::new(&skeleton, "log").unwrap();
@@ -259,7 +259,7 @@ mod tests {
     }
 
     #[test]
-    fn any_truck_of_its_own_is_better_than_a_template() {
+    fn a_trucks_own_points_take_precedence_over_a_template() {
         let folder = tempfile::tempdir().unwrap();
         let skeleton = skeleton(&folder.path().join("s"));
         let templates = vec![template(TemplateKind::Truck, 7), template(TemplateKind::Bus, 7)];
@@ -274,7 +274,7 @@ mod tests {
     }
 
     #[test]
-    fn substitutes_fill_what_the_skeleton_lacks() {
+    fn substitutes_supplement_the_skeleton() {
         let folder = tempfile::tempdir().unwrap();
         let skeleton = skeleton(&folder.path().join("s"));
         let kinds = [TemplateKind::Sedan, TemplateKind::Bike, TemplateKind::Bike];
@@ -334,7 +334,7 @@ mod tests {
     /// A degraded asset of color maps leaves the geometry, and the count of points that decides on it, as
     /// they are.
     #[test]
-    fn color_maps_may_have_other_assets() {
+    fn color_maps_may_use_other_assets() {
         let folder = tempfile::tempdir().unwrap();
         let skeleton = skeleton(&folder.path().join("s"));
         let degraded = |track: &str| (track.to_owned(), cube(3).0);

@@ -44,7 +44,8 @@ fn peer_image(size: ImageSize) -> Vec<[u8; 3]> {
 
 #[test]
 fn resizing_equals_opencv_and_pillow() {
-    let peers: Peers = serde_json::from_str(include_str!("../peers/resize.json")).unwrap();
+    let peers: Peers =
+        serde_json::from_str(include_str!("../../crates/pskel/tests/peers/resize.json")).unwrap();
     for case in peers.cases {
         let size = |[height, width]: [u32; 2]| ImageSize { height, width };
         let (from, to) = (size(case.from), size(case.to));
@@ -167,7 +168,7 @@ fn actors_occlusion_shows_what_the_background_hides() {
 }
 
 #[test]
-fn sizes_radius_and_selection_are_followed() {
+fn sizes_radius_and_selection_are_applied() {
     let size = |height, width| Some(ImageSize { height, width });
     let options = ConditionOptions {
         maps: MapSet::of(&[MapKind::Depth, MapKind::Boxes]),
@@ -186,7 +187,7 @@ fn sizes_radius_and_selection_are_followed() {
 }
 
 #[test]
-fn what_is_asked_for_changes_nothing_else() {
+fn maps_do_not_depend_on_other_requested_maps() {
     let street = street();
     let maps = |instances: &SceneInstances, maps: &str| {
         let mut cpu = ReferenceRasterizer::new(street.clouds.iter().map(Vec::as_slice).collect());

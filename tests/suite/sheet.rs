@@ -107,7 +107,7 @@ fn street() -> ConditionSet {
 }
 
 #[test]
-fn a_street_makes_a_sheet() {
+fn renders_a_contact_sheet_of_a_street() {
     let set = street();
     let path = std::path::Path::new(env!("CARGO_TARGET_TMPDIR")).join("sheet.png");
     let bins = DepthBins { scale: BinScale::Log, far_m: 60.0, ..DepthBins::default() };

@@ -32,7 +32,7 @@ fn refused(folder: &Path, damage: impl Fn(&Path), words: &[&str]) {
 }
 
 #[test]
-fn a_skeleton_comes_back_as_it_was() {
+fn a_skeleton_is_read_back_unchanged() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("deep/er/s");
     write(&path).unwrap();

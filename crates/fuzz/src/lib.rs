@@ -17,7 +17,6 @@ pub mod edits;
 mod folder;
 mod made;
 mod targets;
-mod tiny_log;
 
 use std::cell::RefCell;
 use std::collections::BTreeSet;

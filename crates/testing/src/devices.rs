@@ -152,7 +152,7 @@ mod tests {
 
     /// A comparator that cannot fail proves nothing.
     #[test]
-    fn the_comparator_sees_each_plane() {
+    fn the_comparator_detects_each_plane() {
         let point = Point::new([1.0, 1.0, 1.0], [1, 2, 3], 1);
         let maps = Case::new(3, 3, "9:0", &[&[point]]).draw(MapSet::SPLATTED);
         assert_eq!(differing(&maps, &maps), 0);

@@ -266,7 +266,7 @@ mod tests {
     }
 
     #[test]
-    fn the_city_stands_in_the_name() {
+    fn the_city_is_parsed_from_the_name() {
         let city = |name: &str| city(Some(Path::new(name)));
         assert_eq!(city("a/log_map_archive_7fab____PIT_city_47896.json"), "PIT");
         assert_eq!((city("log_map_archive_7fab.json"), super::city(None)), (String::new(), String::new()));

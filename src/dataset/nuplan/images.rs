@@ -301,7 +301,7 @@ mod tests {
 
     /// Cameras at about 10 Hz and a LiDAR at 20 Hz, with any offset between their clocks.
     #[test]
-    fn every_frame_has_an_image_though_the_clocks_are_uneven() {
+    fn every_frame_has_an_image_despite_uneven_clocks() {
         let images = [0, 101_000, 199_000];
         let frames = |first_us: i64| std::array::from_fn::<i64, 5, _>(|i| first_us + i as i64 * 50_000);
         let even = [0, 0, 101_000, 101_000, 199_000].map(Some);

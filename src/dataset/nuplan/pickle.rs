@@ -377,7 +377,7 @@ mod tests {
     }
 
     #[test]
-    fn whatever_else_a_pickle_can_do_is_refused_by_name() {
+    fn other_pickle_instructions_are_rejected_by_name() {
         let message = |bytes: &[u8]| decode(bytes).unwrap_err().to_string();
         assert_eq!(message(&bytes(REDUCE)), "class posix.system");
         assert_eq!(message(&bytes(OTHER)), "class nuplan.database.common.data_types.Other");

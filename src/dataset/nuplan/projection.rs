@@ -57,7 +57,7 @@ mod tests {
     ];
 
     #[test]
-    fn coordinates_are_those_of_proj() {
+    fn coordinates_match_proj() {
         for (code, degrees, expected) in EXPECTED {
             let utm = Utm::from_epsg(&format!("EPSG:{code}")).unwrap();
             let found = utm.project(DVec2::from(degrees)).unwrap();

@@ -142,7 +142,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn few_entries_of_large_folders_are_looked_at() {
+    fn large_folders_are_searched_up_to_a_limit() {
         let folder = tempfile::tempdir().unwrap();
         for name in ["a", "b", "c"] {
             std::fs::create_dir(folder.path().join(name)).unwrap();

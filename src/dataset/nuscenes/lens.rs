@@ -256,7 +256,7 @@ mod tests {
     }
 
     #[test]
-    fn fields_of_unknown_names_are_told() {
+    fn unknown_fields_are_noted() {
         let told = |fields: Value| {
             let sensor = serde_json::from_value(json!({"token": "s", "channel": "C", "modality": "camera"}));
             unread(&calibrated(&fields), &sensor.unwrap(), ImageDistortion::Usual)
@@ -273,7 +273,7 @@ mod tests {
     }
 
     #[test]
-    fn coefficients_are_applied_or_said_to_be_ignored() {
+    fn coefficients_are_applied_or_noted_as_ignored() {
         let given = json!([-0.35, 0.14, 0.001, -0.002, -0.03]);
         let read = |option| read(given.clone(), Value::Null, option).unwrap();
         assert_eq!(
@@ -286,7 +286,7 @@ mod tests {
     }
 
     #[test]
-    fn zeros_and_nothing_are_no_lens() {
+    fn zeros_and_empty_values_are_not_a_lens() {
         for value in [
             json!([]),
             json!(null),
@@ -301,7 +301,7 @@ mod tests {
     }
 
     #[test]
-    fn other_lengths_are_extended_or_refused() {
+    fn other_lengths_are_extended_or_rejected() {
         let read = |value| read(value, json!("plumb_bob"), ImageDistortion::Apply);
         let k3 = |value| read(value).unwrap().distortion.unwrap().coefficients()[4];
         assert_eq!(k3(json!([-0.3, 0.1, 0.0, 0.0])), 0.0);

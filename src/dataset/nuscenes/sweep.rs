@@ -113,7 +113,7 @@ mod tests {
     use proptest::prelude::*;
 
     #[test]
-    fn a_sweep_written_is_read_again() {
+    fn a_written_sweep_is_read_back() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("a.pcd.bin");
         let point = SweepPoint { position: [1.5, -2.25, 0.125], intensity: 17.0, ring: 31 };
@@ -140,7 +140,7 @@ mod tests {
     }
 
     #[test]
-    fn rows_without_rings_hold_the_same_points() {
+    fn rows_without_rings_have_the_same_points() {
         for count in [500, 503] {
             let rows = rows(count);
             let four: Vec<[f32; 4]> = rows.iter().map(|row| [row[0], row[1], row[2], row[3]]).collect();

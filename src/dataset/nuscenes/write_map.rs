@@ -290,7 +290,7 @@ mod tests {
     }
 
     #[test]
-    fn a_map_written_is_read_again() {
+    fn a_written_map_is_read_back() {
         let folder = tempfile::tempdir().unwrap();
         write_map(folder.path(), &map(), &layers()).unwrap();
         let mut read = read_map_file(&folder.path().join("maps/expansion/place.json"), "place").unwrap();
@@ -316,7 +316,7 @@ mod tests {
     }
 
     #[test]
-    fn the_picture_is_white_where_one_may_be() {
+    fn the_picture_is_white_where_driving_or_walking_is_allowed() {
         let folder = tempfile::tempdir().unwrap();
         write_map(folder.path(), &map(), &layers()).unwrap();
         let picture = image::open(folder.path().join("maps/place.png")).unwrap().into_luma8();
@@ -327,7 +327,7 @@ mod tests {
     }
 
     #[test]
-    fn what_no_picture_shows_is_refused() {
+    fn rejects_maps_that_no_picture_can_show() {
         let folder = tempfile::tempdir().unwrap();
         let write = |map: &VectorMap| write_map(folder.path(), map, &layers()).unwrap_err().to_string();
         let mut far = map();

@@ -109,7 +109,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn rings_span_an_area() {
+    fn rings_need_an_area() {
         let ring = |corners: &[(f64, f64)]| ring(corners.iter().map(|(x, y)| DVec2::new(*x, *y)).collect());
         let triangle = [(0.0, 0.0), (4.0, 0.0), (4.0, 3.0)];
         assert_eq!(ring(&triangle).unwrap().len(), 3);
@@ -131,7 +131,7 @@ mod tests {
     }
 
     #[test]
-    fn lines_have_a_length() {
+    fn lines_need_a_length() {
         let line = |points: &[(f64, f64)]| line(points.iter().map(|(x, y)| DVec2::new(*x, *y)).collect());
         assert_eq!(line(&[(0.0, 0.0), (0.0, 0.0), (1.0, 0.0)]).unwrap().len(), 3);
         for bad in [

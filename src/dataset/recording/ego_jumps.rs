@@ -68,7 +68,7 @@ mod tests {
     }
 
     #[test]
-    fn poses_kilometers_away_are_counted_and_no_origin() {
+    fn distant_poses_are_counted_and_never_the_origin() {
         for (xs, jumps, origin) in [
             (&[7e5, 7e5 + 10.0, 7e5 + 20.0][..], 0, 0),
             (&[0.0, 7e5, 7e5 + 10.0, 7e5 + 20.0], 1, 1),
@@ -87,7 +87,7 @@ mod tests {
     }
 
     #[test]
-    fn what_happens_in_a_long_gap_is_no_jump() {
+    fn movement_in_a_long_gap_is_not_a_jump() {
         let mut log = log(&[0.0, 9000.0]);
         log.frames[1].t_us = 600_000_000;
         assert_eq!(count_jumps(&log), 0);

@@ -42,7 +42,7 @@ mod tests {
     use glam::DVec3;
 
     #[test]
-    fn poses_of_frames_and_sweeps_are_met_and_joined() {
+    fn interpolates_between_poses_of_frames_and_sweeps() {
         let pose = |x: f64| Pose::from_yaw(0.0, DVec3::new(x, 0.0, 0.0));
         let sweep = |t_us: i64, x: f64| SweepRecord {
             path: "s".into(),

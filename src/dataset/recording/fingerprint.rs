@@ -239,7 +239,7 @@ mod tests {
     }
 
     #[test]
-    fn every_part_of_the_content_counts() {
+    fn every_field_changes_the_fingerprint() {
         let distortion = Distortion::from_opencv([0.1, 0.0, 0.0, 0.0, 0.0]);
         let changes: [&dyn Fn(&mut Recording); 25] = [
             &|log| log.description = "b".into(),
@@ -282,14 +282,14 @@ mod tests {
     }
 
     #[test]
-    fn data_sets_may_be_moved() {
+    fn moving_a_data_set_keeps_its_fingerprint() {
         for root in ["elsewhere/of/it", "/data/", "."] {
             assert_eq!(log_at(root).fingerprint(), log().fingerprint(), "{root}");
         }
     }
 
     #[test]
-    fn every_layer_of_a_map_counts() {
+    fn every_map_layer_changes_the_fingerprint() {
         let ring = || vec![DVec2::ZERO, DVec2::X, DVec2::Y];
         let area = || Area { exterior: ring(), holes: vec![ring()] };
         let lane = |id: &str| Lane {

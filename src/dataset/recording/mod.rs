@@ -301,7 +301,7 @@ mod tests {
     }
 
     #[test]
-    fn routes_hold_until_the_next() {
+    fn routes_last_until_the_next() {
         let route = |frame: usize| NavigationRoute { frame, roadblocks: vec![frame.to_string()], goal: None };
         let frames = [0, 100, 200].map(|t_us| frame(t_us, 0.0, &[])).to_vec();
         let log = Recording { frames, routes: vec![route(0), route(2)], ..Recording::default() };

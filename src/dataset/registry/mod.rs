@@ -135,7 +135,7 @@ mod tests {
     use std::path::PathBuf;
 
     #[test]
-    fn all_parts_are_found() {
+    fn all_parts_are_parsed() {
         let locator: LogLocator = "nuscenes:/data/a@b/nuscenes@v1.0-mini#scene-0061".parse().unwrap();
         assert_eq!(locator.to_string(), "nuscenes:/data/a@b/nuscenes@v1.0-mini#scene-0061");
         assert_eq!(locator.path, PathBuf::from("/data/a@b/nuscenes"));
@@ -179,7 +179,7 @@ mod tests {
     }
 
     #[test]
-    fn other_forms_are_refused() {
+    fn rejects_other_forms() {
         for text in ["", "nuscenes", "nuscenes:", "kitti:/data", "nuscenes:/data@", "nuscenes:/data#"] {
             let message = text.parse::<LogLocator>().unwrap_err().to_string();
             assert!(formats().iter().all(|format| message.contains(format.name)), "{message}");

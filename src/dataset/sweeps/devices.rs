@@ -230,7 +230,7 @@ mod tests {
     }
 
     #[test]
-    fn lidars_that_look_elsewhere_are_devices() {
+    fn lidars_with_different_views_are_devices() {
         let round = lidar([-180.0, 180.0], 32);
         for others in [vec![[-30.0, 30.0]], vec![[60.0, 120.0], [-120.0, -60.0]]] {
             let mut all: Vec<(SweepPoint, u16)> = round.iter().map(|p| (*p, 0)).collect();
@@ -243,7 +243,7 @@ mod tests {
     }
 
     #[test]
-    fn interleaved_numbers_are_no_devices() {
+    fn interleaved_numbers_are_not_devices() {
         let round = lidar([-180.0, 180.0], 32);
         for beams in [2, 3, 4, 5, 7] {
             assert_eq!(judge(&round, |i| (i % beams) as u16), Evidence::Beams, "{beams}");
@@ -267,7 +267,7 @@ mod tests {
     }
 
     #[test]
-    fn many_numbers_are_beams_and_few_points_say_nothing() {
+    fn many_numbers_are_beams_and_few_points_are_no_evidence() {
         let round = lidar([-180.0, 180.0], 32);
         assert_eq!(judge(&round, |i| i as u16 % 32), Evidence::Beams);
         assert_eq!(judge(&round[..300], |i| i as u16 % 2), Evidence::Unknown);
@@ -277,7 +277,7 @@ mod tests {
 
     /// Flags of one LiDAR between houses: near on one side of the street, far on the other.
     #[test]
-    fn flags_of_one_lidar_are_no_devices() {
+    fn flags_of_one_lidar_are_not_devices() {
         let round: Vec<SweepPoint> = lidar([-180.0, 180.0], 32)
             .into_iter()
             .enumerate()
@@ -306,7 +306,7 @@ mod tests {
     }
 
     #[test]
-    fn most_sweeps_decide() {
+    fn the_majority_of_sweeps_decides() {
         use Evidence::{Beams, Devices, Unknown};
         assert_eq!(majority(&[]), None);
         assert_eq!(majority(&[Devices, Unknown, Devices]), Some(Devices));

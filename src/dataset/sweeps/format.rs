@@ -62,7 +62,7 @@ mod tests {
 
     /// Marks of two or three bytes may be the first bytes of a coordinate.
     #[test]
-    fn numbers_are_no_format() {
+    fn numbers_are_not_a_format() {
         let numbers = [1.0_f32, -2.5, 0.0, 100.0, 31.0].map(f32::to_le_bytes);
         assert_eq!(named_format(numbers.as_flattened()), None);
         assert_eq!(named_format(&[0; 600]), None);

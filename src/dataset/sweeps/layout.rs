@@ -295,7 +295,7 @@ mod tests {
     }
 
     #[test]
-    fn rejects_what_does_not_tell() {
+    fn rejects_inconclusive_values() {
         let message = judge(&[0; 20_000]).unwrap_err();
         assert!(message.contains("zero bytes (a download that was cut off?)"), "{message}");
         let message = judge(&[0xff; 20_000]).unwrap_err();

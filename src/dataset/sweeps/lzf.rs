@@ -50,7 +50,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn any_bytes_are_data_or_nothing(data in proptest::collection::vec(any::<u8>(), 0..200),
+        fn any_bytes_are_data_or_none(data in proptest::collection::vec(any::<u8>(), 0..200),
         length in 0..400_usize) {
             prop_assert!(decompress(&data, length).is_none_or(|out| out.len() == length));
         }

@@ -106,14 +106,14 @@ mod tests {
     }
 
     #[test]
-    fn points_of_a_sweep_are_no_wide_rows() {
+    fn points_of_a_sweep_are_not_wide_rows() {
         for columns in [4, 5] {
             assert_eq!(multiple(&sample(columns, |_, _| Vec::new()), columns), None);
         }
     }
 
     #[test]
-    fn further_columns_are_no_points() {
+    fn further_columns_are_not_points() {
         let normal = |i: i64, axis: i64| crate::hash::between(5, &[i, axis], -1.0, 1.0) as f32;
         type More<'a> = &'a dyn Fn(i64, &[f32]) -> Vec<f32>;
         let kinds: [More<'_>; 5] = [

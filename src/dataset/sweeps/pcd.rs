@@ -236,7 +236,7 @@ mod tests {
     }
 
     #[test]
-    fn other_fields_are_skipped_and_counts_may_lack() {
+    fn other_fields_are_skipped_and_counts_are_optional() {
         let header = "FIELDS pad z y x time\nSIZE 2 4 4 4 8\nTYPE U F F F F\nCOUNT 3 1 1 1 1\nWIDTH \
             1\nHEIGHT 1\nDATA binary\n";
         let values = [&[9; 6], [3.0_f32, 2.0, 1.0].map(f32::to_le_bytes).as_flattened(), &[9; 8]].concat();
@@ -246,14 +246,14 @@ mod tests {
     }
 
     #[test]
-    fn what_stands_behind_the_points_is_ignored() {
+    fn bytes_after_the_points_are_ignored() {
         for behind in [vec![0; 4000], vec![0, 8], vec![0xff; 15], file()] {
             assert_eq!(parse(&[file(), behind].concat()).unwrap(), parse(&file()).unwrap());
         }
     }
 
     #[test]
-    fn not_finite_is_dropped_and_counted() {
+    fn non_finite_points_are_dropped_and_counted() {
         let mut bytes = file();
         bytes[HEADER.len()..HEADER.len() + 4].copy_from_slice(&f32::NAN.to_le_bytes());
         let sweep = parse(&bytes).unwrap();
@@ -261,7 +261,7 @@ mod tests {
     }
 
     #[test]
-    fn truncated_files_are_refused() {
+    fn rejects_truncated_files() {
         let whole = file();
         for cut in 0..whole.len() {
             assert!(parse(&whole[..cut]).is_err(), "{cut}");
@@ -274,7 +274,7 @@ mod tests {
     }
 
     #[test]
-    fn other_layouts_are_refused() {
+    fn rejects_other_layouts() {
         let layout =
             "FIELDS x y z intensity lidar_info ring, SIZE 4 4 4 1 1 1, TYPE F F F U U U, COUNT 1 1 1 1 1 1";
         let bytes = changed("TYPE F F F", "TYPE F U F");
@@ -315,7 +315,7 @@ mod tests {
     }
 
     #[test]
-    fn all_encodings_hold_the_same_points() {
+    fn all_encodings_have_the_same_points() {
         assert_eq!(parse(ascii().as_bytes()).unwrap(), parse(&file()).unwrap());
         assert_eq!(parse(ascii().replace('\n', "\r\n").as_bytes()).unwrap(), parse(&file()).unwrap());
         assert_eq!(parse(&compressed()).unwrap(), parse(&file()).unwrap());

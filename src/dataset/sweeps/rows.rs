@@ -234,7 +234,7 @@ mod tests {
     }
 
     #[test]
-    fn an_option_decides_what_rings_mean() {
+    fn an_option_decides_the_meaning_of_rings() {
         let devices = |meaning| {
             let mut rows = SweepRows::default();
             for ring in [0.0, 1.0, 1.0] {
@@ -259,7 +259,7 @@ mod tests {
     }
 
     #[test]
-    fn sweeps_without_returns_are_refused() {
+    fn rejects_sweeps_without_returns() {
         let refused = |position: [f32; 3]| {
             let mut rows = SweepRows::default();
             (0..3).for_each(|_| {

@@ -82,7 +82,7 @@ mod tests {
 
     /// Rows keep their place in the file, wherever a part begins.
     #[test]
-    fn rows_of_parts_are_rows_of_the_file() {
+    fn rows_of_parts_are_aligned_with_the_file() {
         let values: Vec<u32> = (0..60_000).collect();
         let bytes: Vec<u8> = values.iter().flat_map(|v| v.to_le_bytes()).collect();
         let read = |start: u64, length: usize| Ok(bytes[start as usize..start as usize + length].to_vec());

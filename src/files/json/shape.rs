@@ -102,7 +102,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn other_documents_are_named() {
+    fn other_documents_are_described() {
         for (text, reason) in [
             ("{\"token\": \"a\"}\n{\"token\": \"b\"}", "JSON lines? write one array"),
             ("{\"sizes\": [{}]}\n{\"token\": \"b\"}", "JSON lines? write one array"),

@@ -228,7 +228,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn empty_folders_of_listed_files_are_no_foreign_ones() {
+    fn empty_folders_of_listed_files_are_not_foreign() {
         let folder = tempfile::tempdir().unwrap();
         let mut manifest = Manifest::new("maps");
         manifest.add(folder.path(), ["a/b/c.png", "d.png"].map(PathBuf::from).into()).unwrap();
@@ -263,7 +263,7 @@ mod tests {
     }
 
     #[test]
-    fn a_link_is_no_list() {
+    fn rejects_a_link_as_list() {
         let (folder, other) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
         Manifest::of("maps", &[], other.path()).unwrap().write(other.path()).unwrap();
         std::os::unix::fs::symlink(other.path().join(FILES), folder.path().join(FILES)).unwrap();

@@ -287,7 +287,7 @@ mod tests {
     }
 
     #[test]
-    fn links_in_the_folder_lead_nowhere() {
+    fn links_in_the_folder_are_not_followed() {
         let (folder, other) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
         let path = folder.path().join("out");
         let open = || OutputFolder::open(&path, "maps", &Inputs::default());

@@ -242,7 +242,7 @@ mod tests {
     }
 
     #[test]
-    fn links_lead_to_files_that_do_not_exist_yet() {
+    fn links_may_target_files_that_do_not_exist_yet() {
         let folder = tempfile::tempdir().unwrap();
         let at = |name: &str| folder.path().join(name);
         for name in ["disk", "log"] {

@@ -359,7 +359,7 @@ mod tests {
     }
 
     #[test]
-    fn links_lead_nowhere() {
+    fn links_are_not_followed() {
         let (folder, other) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
         for name in [".unfinished", "records", "a"] {
             symlink(other.path(), folder.path().join(name)).unwrap();

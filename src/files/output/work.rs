@@ -153,7 +153,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn one_owner_at_a_time_and_nothing_is_left() {
+    fn one_owner_at_a_time_and_the_folder_is_removed() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("work");
         let open = || WorkFolder::open(path.clone(), Path::new("out"));
@@ -177,7 +177,7 @@ mod tests {
     }
 
     #[test]
-    fn a_foreign_folder_is_left_alone() {
+    fn a_foreign_folder_is_not_touched() {
         // Without a lock, with a lock file of another program, and with one that is empty.
         for lock in [None, Some("4711"), Some("")] {
             let folder = tempfile::tempdir().unwrap();
@@ -208,7 +208,7 @@ mod tests {
 
     /// A process that was killed before it signed its lock.
     #[test]
-    fn an_empty_lock_alone_is_taken_over() {
+    fn a_folder_with_only_an_empty_lock_is_taken_over() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("work");
         std::fs::create_dir(&path).unwrap();

@@ -33,7 +33,7 @@ fn a_missing_table_is_named() {
 }
 
 #[test]
-fn a_cut_table_or_another_format_is_told() {
+fn truncated_tables_and_other_formats_are_named() {
     let log = TinyAv2::new();
     for table in TABLES {
         let whole = std::fs::read(log.path(table)).unwrap();
@@ -197,7 +197,7 @@ fn bad_values_are_named_with_their_row() {
 }
 
 #[test]
-fn times_that_do_not_grow_are_told() {
+fn times_that_do_not_increase_are_errors() {
     let log = TinyAv2::new();
     log.edit(TABLES[1], |columns| {
         let old = columns[0].1.as_any().downcast_ref::<Int64Array>().unwrap().values().to_vec();
@@ -235,7 +235,7 @@ fn notes(log: &TinyAv2) -> Vec<(String, usize)> {
 }
 
 #[test]
-fn what_is_left_out_is_counted() {
+fn skipped_items_are_counted() {
     let told = |edit: &dyn Fn(&TinyAv2)| {
         let log = TinyAv2::new();
         edit(&log);
@@ -309,7 +309,7 @@ fn what_is_left_out_is_counted() {
 }
 
 #[test]
-fn frames_without_an_ego_pose_are_left_out() {
+fn frames_without_an_ego_pose_are_skipped() {
     let log = TinyAv2::new();
     log.edit(TABLES[1], |columns| columns.iter_mut().for_each(|(_, c)| *c = c.slice(0, 5)));
     // The poses end half a step after the second frame.
@@ -340,7 +340,7 @@ fn sweeps_without_an_ego_pose_are_counted_once() {
 
 /// A sweep and images between two frames belong to the later frame.
 #[test]
-fn what_lies_between_frames_belongs_to_the_interval_that_ends_with_a_frame() {
+fn data_between_frames_belongs_to_the_next_frame() {
     let log = TinyAv2::new();
     let between = frame_ns(1) + STEP_NS / 2 + 3;
     std::fs::copy(log.path(&sweep(0)), log.path(&format!("sensors/lidar/{between}.feather"))).unwrap();

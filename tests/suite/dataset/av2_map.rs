@@ -17,7 +17,7 @@ fn read_map(map: &Value) -> Result<usize, String> {
 }
 
 #[test]
-fn broken_maps_are_told() {
+fn broken_maps_are_errors() {
     type Edit = fn(&mut Value);
     let cases: [(Edit, &[&str]); 2] = [
         (|m| m["lane_segments"] = json!([]), &["an Argoverse 2 map", "an object by id"]),

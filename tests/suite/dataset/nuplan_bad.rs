@@ -19,7 +19,7 @@ fn refused(statements: &str, parts: &[&str]) {
 }
 
 #[test]
-fn files_that_are_no_log_are_named() {
+fn files_other_than_logs_are_named() {
     let made = Made::new();
     let path = made.database();
     let whole = std::fs::read(&path).unwrap();
@@ -71,7 +71,7 @@ fn missing_tables_and_columns_are_named() {
 
 /// Goals may lie in a part of the recording that was cut off.
 #[test]
-fn goals_that_are_not_there_are_counted() {
+fn missing_goals_are_counted() {
     let made = Made::new();
     made.sql("UPDATE scene SET goal_ego_pose_token = x'0123456789abcdef', roadblock_ids = '7 8';");
     let log = made.open().unwrap();
@@ -82,7 +82,7 @@ fn goals_that_are_not_there_are_counted() {
 }
 
 #[test]
-fn tokens_that_lead_nowhere_are_named() {
+fn dangling_tokens_are_named() {
     let cases = [
         ("lidar_pc", "ego_pose_token", "ego_pose"),
         ("lidar_pc", "lidar_token", "lidar"),
@@ -149,7 +149,7 @@ fn wrong_values_are_named_with_their_row() {
 }
 
 #[test]
-fn pickles_that_do_anything_but_lists_are_refused() {
+fn rejects_pickles_of_anything_but_lists() {
     // `os.system("true")` through `__reduce__`, as Python pickles it.
     let attack = "x'8004951f000000000000008c05706f736978948c0673797374656d9493948c047472756594859452942e'";
     let cases = [
@@ -192,7 +192,7 @@ fn pickles_that_do_anything_but_lists_are_refused() {
 }
 
 #[test]
-fn times_that_do_not_grow_are_named() {
+fn times_that_do_not_increase_are_named() {
     let [a, b] = [1, 2].map(|frame| token('p', frame));
     refused(
         &format!("UPDATE lidar_pc SET timestamp = timestamp + 50000 WHERE token = {a};"),
@@ -216,7 +216,7 @@ fn times_that_do_not_grow_are_named() {
 
 /// Logs are cut from longer recordings, and some tables keep rows of the remainder.
 #[test]
-fn what_belongs_to_no_frame_is_counted() {
+fn data_without_a_frame_is_counted() {
     let tables = ["scenario_tag", "traffic_light_status", "lidar_box"];
     let kinds = ["scenario tags", "traffic lights", "boxes"];
     for (table, kind) in tables.into_iter().zip(kinds) {
@@ -257,7 +257,7 @@ fn boxes_without_a_size_are_counted() {
 }
 
 #[test]
-fn boxes_of_a_track_are_single() {
+fn rejects_two_boxes_of_a_track_in_a_frame() {
     refused(
         &format!("UPDATE lidar_box SET track_token = {};", token('t', 9)),
         &["one box per track and frame", "two of track 7400000000000009 in lidar_pc 70"],
@@ -302,7 +302,7 @@ fn map_refused(statements: &str, parts: &[&str]) {
 }
 
 #[test]
-fn layers_that_a_map_lacks_are_counted_but_lanes_are_required() {
+fn missing_map_layers_are_counted_but_lanes_are_required() {
     let layers = [
         "lanes_polygons",
         "lane_connectors",
@@ -371,7 +371,7 @@ fn several(parts: &[String], kind: u8) -> String {
 }
 
 #[test]
-fn what_a_map_leaves_out_is_counted() {
+fn missing_parts_of_a_map_are_counted() {
     let notes = Made::map_and_notes;
     let one = |kind: &str, count: usize| vec![(kind.to_owned(), count)];
     let (whole, none) = notes("");
@@ -422,7 +422,7 @@ fn what_a_map_leaves_out_is_counted() {
 }
 
 #[test]
-fn the_index_of_maps_must_fit() {
+fn the_map_index_must_match() {
     let made = Made::new();
     let index = made.path("maps/nuplan-maps-v1.0.json");
     let message = || made.open().unwrap().read_map().unwrap_err().to_string();
@@ -444,7 +444,7 @@ fn the_index_of_maps_must_fit() {
 
 /// A generated log in nuPlan's schema whose rotations are all zero and whose images are 1.23 pixels wide.
 #[test]
-fn the_generated_minimal_log_is_refused_for_its_numbers() {
+fn rejects_the_numbers_of_the_generated_minimal_log() {
     let Some(shared) = shared("the minimal nuPlan log") else { return };
     let copy = tempfile::tempdir().unwrap();
     let path = copy.path().join(format!("{LOG}.db"));

@@ -44,7 +44,7 @@ fn open_nuscenes(folder: &Path) -> NuScenes {
 }
 
 #[test]
-fn the_drive_is_read_as_its_readme_says() {
+fn the_recording_matches_its_readme() {
     let Some(folder) = folder() else { return };
     let dataset = open_nuplan(&folder);
     let log = dataset.recording();
@@ -92,7 +92,7 @@ fn the_drive_is_read_as_its_readme_says() {
 
 /// Poses, boxes, calibration and images equal the other layout's, up to the offset.
 #[test]
-fn both_layouts_show_the_same_world() {
+fn both_layouts_describe_the_same_world() {
     let Some(folder) = folder() else { return };
     let (nuplan, nuscenes) = (open_nuplan(&folder), open_nuscenes(&folder));
     let (a, b) = (nuplan.recording(), nuscenes.recording());
@@ -234,7 +234,7 @@ fn corners(map: &VectorMap) -> Vec<(&'static str, Vec<DVec2>)> {
 }
 
 #[test]
-fn the_map_is_that_of_the_other_layout() {
+fn the_map_matches_the_other_layout() {
     let Some(folder) = folder() else { return };
     let map = open_nuplan(&folder).read_map().unwrap().unwrap();
     assert_eq!((map.lanes.len(), map.lane_connectors.len()), (8, 4));
@@ -280,7 +280,7 @@ fn is_in_area(point: DVec2, exterior: &[DVec2], holes: &[Vec<DVec2>]) -> bool {
 /// The drivable area of the other layout is one polygon; here it consists of four layers, and one layer is
 /// the whole junction.
 #[test]
-fn the_drivable_area_covers_that_of_the_other_layout() {
+fn the_drivable_area_covers_the_other_layouts() {
     let Some(folder) = folder() else { return };
     let map = open_nuplan(&folder).read_map().unwrap().unwrap();
     let file = folder.join("nuscenes/maps/expansion/pandaset-002.json");

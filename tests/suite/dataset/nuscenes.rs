@@ -29,7 +29,7 @@ fn file_points(log: &Recording) -> u64 {
 }
 
 #[test]
-fn pandaset_drive_is_read_as_its_readme_says() {
+fn pandaset_recording_matches_its_readme() {
     let Some(shared) = shared("the PandaSet drive") else { return };
     let dataset = open(&shared.join("data/pandaset-002/nuscenes"));
     let log = dataset.recording();
@@ -52,7 +52,7 @@ fn pandaset_drive_is_read_as_its_readme_says() {
 }
 
 #[test]
-fn pandaset_boxes_hold_the_points_that_are_stated() {
+fn pandaset_boxes_contain_the_stated_number_of_points() {
     let Some(shared) = shared("the PandaSet drive") else { return };
     let dataset = open(&shared.join("data/pandaset-002/nuscenes"));
     for index in [0, 20, 37] {

@@ -6,7 +6,7 @@ use point_skeleton::raster::{RasterizerDesc, RasterizerKind, create};
 use pskel_testing::devices::with_device;
 
 #[test]
-fn an_unknown_device_lists_those_there_are() {
+fn an_unknown_device_lists_the_available_ones() {
     let name = with_device(|device| device.name().to_owned());
     let desc = DeviceDesc { device: Some("no such device".into()), validation: false };
     let error = Device::new(&desc).err().unwrap();
@@ -37,7 +37,7 @@ fn a_device_is_found_by_part_of_its_name() {
 
 /// Runs a loader without drivers, in a child process because the environment belongs to the process.
 #[test]
-fn no_driver_says_what_to_install() {
+fn a_missing_driver_error_says_what_to_install() {
     const INNER: &str = "PSKEL_TEST_WITHOUT_DRIVER";
     if std::env::var_os(INNER).is_some() {
         let error = Device::new(&DeviceDesc::default()).err().unwrap();
@@ -46,7 +46,7 @@ fn no_driver_says_what_to_install() {
         return;
     }
     let output = std::process::Command::new(std::env::current_exe().unwrap())
-        .args(["--exact", "raster::device::no_driver_says_what_to_install", "--nocapture"])
+        .args(["--exact", "raster::device::a_missing_driver_error_says_what_to_install", "--nocapture"])
         .env(INNER, "1")
         .env("VK_DRIVER_FILES", "/nonexistent.json")
         .env("VK_ICD_FILENAMES", "/nonexistent.json")

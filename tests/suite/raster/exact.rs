@@ -31,7 +31,7 @@ fn a_point_covers_exactly_its_square() {
 }
 
 #[test]
-fn a_square_reaches_in_from_outside() {
+fn squares_of_points_outside_the_image_are_drawn() {
     // Centers at (-2, 8) and (7, -1) around a 6x7 image, radius 2 and 1.
     let case = Case::new(6, 7, "2:2,4:1", &[&[point([-2.0, 8.0, 1.0]), point([6.5 * 4.0, -4.0, 4.0])]]);
     assert_eq!(covered(&case.draw(MapSet::SPLATTED)), [(5, 0), (0, 6)]);
@@ -91,7 +91,7 @@ fn the_crop_is_a_square_with_its_border() {
 /// Many points of one pixel draw the largest squares. The first of the nearest points wins its whole square,
 /// and so does a point that is nearer by one `f32` step.
 #[test]
-fn points_without_number_in_one_pixel_have_one_winner() {
+fn many_points_in_one_pixel_have_one_winner() {
     let at = |x: f32, y: f32, z: f32| point([(x + 0.5) * z, (y + 0.5) * z, z]);
     let mut points = vec![at(40.0, 35.0, 2.0); 20_000];
     points[0] = at(40.0, 35.0, 2.0_f32.next_up());
@@ -133,13 +133,13 @@ fn unwanted_maps_are_empty() {
 }
 
 #[test]
-fn nothing_gives_empty_maps() {
+fn no_points_give_empty_maps() {
     assert_eq!(covered(&Case::new(4, 4, "9:1", &[]).draw(MapSet::SPLATTED)), []);
     assert_eq!(covered(&Case::new(4, 4, "9:1", &[&[]]).draw(MapSet::SPLATTED)), []);
 }
 
 #[test]
-fn a_line_covers_the_pixels_whose_centres_it_holds() {
+fn a_line_covers_pixels_whose_centers_are_inside() {
     let line = |y: f32| Segment { from: [2.0, y], to: [6.0, y], rgb: [9, 8, 7] };
     let rows =
         |image: &[[u8; 3]]| -> Vec<usize> { (0..8).filter(|row| image[row * 8 + 3] == [9, 8, 7]).collect() };

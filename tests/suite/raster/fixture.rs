@@ -122,7 +122,7 @@ fn draw(fixture: &Projection, rasterizer: &mut dyn Rasterizer) -> Vec<[SplatMaps
 }
 
 #[test]
-fn fixture_maps_are_the_references() {
+fn fixture_maps_equal_the_references() {
     let Some(fixture) = load() else { return };
     let actors: Vec<Point> = fixture.points.iter().filter(|p| p.class() > 0).copied().collect();
     let clouds: Vec<&[Point]> = vec![&fixture.points, &actors];

@@ -15,7 +15,7 @@ use point_skeleton::raster::{
 use proptest::prelude::*;
 
 use super::random::{Random, random_cloud, random_instances, random_schedule, random_view};
-use pskel_testing::devices::{self, Division, rasterizers, with_compute_device, with_device};
+use pskel_testing::devices::{Division, rasterizers, with_compute_device, with_device};
 
 /// Content of a random frame.
 struct Scene {
@@ -190,7 +190,7 @@ proptest! {
     }
 
     #[test]
-    fn parts_pages_and_streams_change_nothing(
+    fn batches_buffers_and_streams_do_not_change_the_maps(
         seed: u64,
         sizes in prop::collection::vec(0..15_000_u64, 2..5),
         key_rows in 70..400_u32,
@@ -224,7 +224,7 @@ fn large_squares_of_many_points_agree() {
 
 /// If few of many rows remain, row strips of one view share a batch.
 #[test]
-fn bands_of_a_view_may_share_a_part() {
+fn row_strips_of_a_view_may_share_a_batch() {
     let sizes = [8031, 8811, 12753];
     compare(5_950_116_398_762_583_034, &sizes, divided(&sizes, 97, 1, 2), 4);
 }
@@ -234,7 +234,7 @@ fn compute<'a>(device: &Arc<Device>, clouds: &CloudSet<'a>) -> ComputeRasterizer
 }
 
 #[test]
-fn frames_in_flight_come_in_order() {
+fn frames_in_flight_finish_in_order() {
     let random = &mut Random(11);
     let scene = Scene::random(random, &[5000, 300]);
     let full = FrameJob { maps: MapSet::SPLATTED, out_size: None, ..scene.job(random) };
@@ -254,7 +254,7 @@ fn frames_in_flight_come_in_order() {
             let alone =
                 SplatJob { view: &reduced.views[0], schedule, instances, crop, maps: MapSet::SPLATTED };
             let (a, b) = (cpu.splat(&alone).unwrap(), rasterizer.splat(&alone).unwrap());
-            twins::assert_same(&a, &b, "at once");
+            pskel_testing::devices::assert_same(&a, &b, "at once");
             for expected in &expected {
                 let found: Vec<_> = rasterizer.finish().unwrap().into_iter().map(owned).collect();
                 assert_same(expected, &found, "in flight");
@@ -264,7 +264,7 @@ fn frames_in_flight_come_in_order() {
 }
 
 #[test]
-fn a_warm_rasterizer_makes_nothing_new() {
+fn a_warm_rasterizer_allocates_nothing() {
     let random = &mut Random(5);
     let mut scene = Scene::random(random, &[20_000, 3000]);
     scene.color.truncate(2);
@@ -298,7 +298,7 @@ fn a_warm_rasterizer_makes_nothing_new() {
 }
 
 #[test]
-fn too_little_memory_is_said() {
+fn too_little_memory_is_an_error() {
     let points = vec![Point::default(); 40_000];
     with_compute_device(|device| {
         let desc = ComputeRasterizerDesc { memory_bytes: Some(1 << 16), ..ComputeRasterizerDesc::default() };

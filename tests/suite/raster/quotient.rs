@@ -29,7 +29,7 @@ fn moved(value: f32, steps: i32) -> f32 {
 /// Vulkan allows 2.5 units in the last place. The check can fail: without the correction some floors are
 /// wrong.
 #[test]
-fn floors_of_quotients_are_exact_whatever_a_device_returns() {
+fn floors_of_quotients_are_exact_on_any_device() {
     let random = &mut Random(42);
     let mut uncorrected = 0;
     for _ in 0..300_000 {

@@ -152,7 +152,7 @@ pub(crate) fn random_clouds_agree() {
 }
 
 #[test]
-fn pages_and_tiles_change_nothing() {
+fn buffers_and_tiles_do_not_change_the_maps() {
     for seed in 100..106 {
         let page_points = Some([1000, 333, 17][seed as usize % 3]);
         let tile_side = Some([40, 7, 1000][seed as usize % 3]);

@@ -23,7 +23,7 @@ fn locator(path: impl Into<std::path::PathBuf>) -> LogLocator {
 }
 
 #[test]
-fn a_made_up_log_is_read_whole() {
+fn reads_a_synthetic_log() {
     let made = TinyAv2::new();
     let dataset = made.open().unwrap();
     let log = dataset.recording();
@@ -62,7 +62,7 @@ fn a_made_up_log_is_read_whole() {
 }
 
 #[test]
-fn a_made_up_map_is_read_whole() {
+fn reads_a_synthetic_map() {
     let made = TinyAv2::new();
     let map = made.open().unwrap().read_map().unwrap().unwrap();
     let at = |x: f64, y: f64| DVec2::new(START.x + x, START.y + y);
@@ -115,7 +115,7 @@ fn a_folder_of_logs_is_a_set() {
 }
 
 #[test]
-fn sensors_and_maps_may_lie_elsewhere() {
+fn sensors_and_maps_may_be_in_other_folders() {
     let made = TinyAv2::new();
     let elsewhere = tempfile::tempdir().unwrap();
     let of_log = elsewhere.path().join(LOG_ID);
@@ -137,7 +137,7 @@ fn sensors_and_maps_may_lie_elsewhere() {
 }
 
 #[test]
-fn parts_that_are_said_to_be_elsewhere_must_be_there() {
+fn given_sensor_and_map_folders_must_exist() {
     let made = TinyAv2::new();
     let (gone, file) = (made.path("gone"), made.path("annotations.feather"));
     for (place, found) in [(&gone, "cannot read"), (&file, "expected a folder, found a file")] {
@@ -181,7 +181,7 @@ fn boxes_without_a_size_are_counted() {
 
 /// Overwrites each place in the file that stores the number of rows.
 #[test]
-fn rows_that_the_columns_have_no_bytes_for_are_refused() {
+fn rejects_more_rows_than_the_columns_have() {
     const ROWS: usize = 1237;
     let made = TinyAv2::new();
     let dataset = made.open().unwrap();
@@ -279,7 +279,7 @@ fn real() -> Option<Argoverse> {
 }
 
 #[test]
-fn the_real_log_is_read_as_its_readme_says() {
+fn real_log_matches_its_readme() {
     let Some(dataset) = real() else { return };
     let log: &Recording = dataset.recording();
     assert_eq!((log.name.split_once('-').unwrap().0, log.location.as_str()), ("7fab2350", "PIT"));
@@ -308,7 +308,7 @@ fn the_real_log_is_read_as_its_readme_says() {
 /// Poses, boxes and sweeps are consistent: each box contains exactly the number of points that the file
 /// states.
 #[test]
-fn real_boxes_hold_the_points_that_are_stated() {
+fn real_boxes_contain_the_stated_number_of_points() {
     let Some(dataset) = real() else { return };
     let mut boxes = 0;
     for (frame, stated) in dataset.recording().frames.iter().zip(dataset.box_points().unwrap()) {
@@ -331,7 +331,7 @@ fn real_boxes_hold_the_points_that_are_stated() {
 /// Projects points of the ego frame into the cameras: pixel and depth as computed by NumPy and SciPy from the
 /// same files.
 #[test]
-fn known_points_are_seen_where_they_should_be() {
+fn known_points_project_to_the_expected_pixels() {
     let Some(dataset) = real() else { return };
     let state = state_of_frame(dataset.recording(), 120, EgoOffset::default()).unwrap();
     let known = [
@@ -350,7 +350,7 @@ fn known_points_are_seen_where_they_should_be() {
 }
 
 #[test]
-fn the_real_map_fits_the_drive() {
+fn the_real_map_matches_the_recording() {
     let Some(dataset) = real() else { return };
     let map = dataset.read_map().unwrap().unwrap();
     assert_eq!((map.lanes.len(), map.lane_connectors.len()), (110, 73));

@@ -26,7 +26,7 @@ fn number(object: &Value, pointer: &str) -> f64 {
 }
 
 #[test]
-fn one_object_holds_all_figures() {
+fn json_object_has_all_measurements() {
     let log = TinyLog::new();
     for rasterizer in ["cpu", "auto"] {
         let args = SMALL.replace("cpu", rasterizer).replace("3000", "3e3");
@@ -86,7 +86,7 @@ fn the_table_ends_with_a_summary() {
 }
 
 #[test]
-fn seeds_make_streets() {
+fn seeds_determine_the_street() {
     let log = TinyLog::new();
     let filled = |extra: &str| number(&json(&log, &format!("{SMALL} {extra}")), "/filled");
     let first = filled("");
@@ -96,7 +96,7 @@ fn seeds_make_streets() {
 
 /// The same points and cameras from files, rendered once with `splat` for comparison.
 #[test]
-fn frames_are_those_that_splat_draws() {
+fn frames_equal_the_maps_of_splat() {
     let log = TinyLog::new();
     npy::write(&log.path("p.npy"), &street_cloud(3000, 1), false).unwrap();
     let small = |view: View| View { camera: view.camera.resized(90, 160), ..view };
@@ -116,7 +116,7 @@ fn frames_are_those_that_splat_draws() {
 }
 
 #[test]
-fn a_drive_is_drawn_frame_by_frame() {
+fn renders_a_recording_frame_by_frame() {
     let log = TinyLog::new();
     log.succeed("build nuscenes:log --out sk");
     let bench = "bench nuscenes:log --skeleton sk --rasterizer cpu";
@@ -137,7 +137,7 @@ fn a_drive_is_drawn_frame_by_frame() {
 }
 
 #[test]
-fn whole_steps_of_a_drive_have_layouts_and_fill_the_same_pixels() {
+fn full_steps_have_layouts_and_cover_the_same_pixels() {
     let log = TinyLog::new();
     log.succeed("build nuscenes:log --out sk");
     let bench = "bench nuscenes:log --skeleton sk --rasterizer cpu --size 32x48 --out-size 16x24";
@@ -161,7 +161,7 @@ fn whole_steps_of_a_drive_have_layouts_and_fill_the_same_pixels() {
 }
 
 #[test]
-fn the_trace_has_every_frame_and_stage() {
+fn the_trace_contains_every_frame_and_stage() {
     let log = TinyLog::new();
     for in_flight in ["1", "2"] {
         let args = SMALL.replace("cpu", "auto");

@@ -58,7 +58,7 @@ fn build(
 }
 
 #[test]
-fn wherever_a_build_breaks_it_goes_on_to_the_same_bytes() {
+fn a_build_resumes_after_any_failure_to_the_same_bytes() {
     let (_files, drive) = made_town::read();
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("sk");
@@ -137,7 +137,7 @@ fn killed_after(folder: &Path, args: &str, time: Duration) -> bool {
 }
 
 #[test]
-fn a_killed_build_goes_on_to_the_same_bytes() {
+fn a_killed_build_resumes_to_the_same_bytes() {
     let folder = tempfile::tempdir().unwrap();
     made_town::copy_to(&folder.path().join("log"), |_| true);
     let run = |args: &str| {
@@ -179,7 +179,7 @@ fn a_killed_build_goes_on_to_the_same_bytes() {
 }
 
 #[test]
-fn what_cannot_be_gone_on_with_is_refused() {
+fn rejects_builds_that_cannot_be_resumed() {
     let log = TinyLog::new();
     log.succeed("build nuscenes:log --out out/whole");
     let partial = partial_of_tiny(&log);
@@ -224,7 +224,7 @@ fn what_cannot_be_gone_on_with_is_refused() {
 }
 
 #[test]
-fn a_folder_of_another_kind_is_not_taken_for_an_unfinished_build() {
+fn rejects_resuming_a_folder_of_another_kind() {
     let log = TinyLog::new();
     std::fs::create_dir(log.path("out/sk.partial")).unwrap();
     std::fs::write(log.path("out/sk.partial/thesis.tex"), "years of work").unwrap();
@@ -240,7 +240,7 @@ fn a_folder_of_another_kind_is_not_taken_for_an_unfinished_build() {
 }
 
 #[test]
-fn a_build_that_starts_anew_says_what_it_discards() {
+fn a_fresh_build_reports_the_discarded_work() {
     let log = TinyLog::new();
     let partial = partial_of_tiny(&log);
     let output = log.run("build nuscenes:log --out out/sk");
@@ -264,7 +264,7 @@ fn a_build_that_starts_anew_says_what_it_discards() {
 /// If cameras are slower than the LiDAR, one image serves two frames, as if the second frame had its own
 /// copy.
 #[test]
-fn an_image_of_two_frames_colors_both() {
+fn an_image_shared_by_two_frames_colors_both() {
     let (_files, drive) = made_town::read();
     let folder = tempfile::tempdir().unwrap();
     let reports = |images: Vec<ImageRecord>| {
@@ -315,7 +315,7 @@ fn partial_of_tiny(log: &TinyLog) -> PathBuf {
 }
 
 #[test]
-fn logs_of_one_place_share_a_background() {
+fn logs_of_one_location_share_a_background() {
     let (log, other) = (TinyLog::new(), TinyLog::new());
     other.change("scene", "/0/name", json!("second"));
     std::fs::rename(other.path("log"), log.path("log2")).unwrap();
@@ -345,7 +345,7 @@ fn logs_of_one_place_share_a_background() {
 }
 
 #[test]
-fn what_somebody_put_into_a_skeleton_is_not_deleted() {
+fn foreign_files_in_a_skeleton_are_not_deleted() {
     let log = TinyLog::new();
     log.succeed("build nuscenes:log --out out/sk");
     std::fs::create_dir(log.path("out/sk/mine")).unwrap();
@@ -359,7 +359,7 @@ fn what_somebody_put_into_a_skeleton_is_not_deleted() {
 }
 
 #[test]
-fn frames_without_sweeps_are_told() {
+fn frames_without_sweeps_are_reported() {
     let log = TinyLog::new();
     log.change("sensor", "/0/modality", json!("radar"));
     let lidar: serde_json::Value = log.json("log/v1.0-mini/sensor.json");

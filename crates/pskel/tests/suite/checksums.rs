@@ -33,7 +33,7 @@ fn verified(log: &TinyLog, target: &str, code: i32) -> Value {
 }
 
 #[test]
-fn a_changed_byte_of_each_file_is_found_before_its_points_are_used() {
+fn changed_bytes_are_detected_before_points_are_used() {
     let log = built();
     let manifest = log.json("sk/skeleton.json");
     let checksum = |list: &str| manifest[list][0]["xxh3"].as_str().unwrap().to_owned();
@@ -95,7 +95,7 @@ fn every_damaged_cloud_is_listed() {
 }
 
 #[test]
-fn a_changed_byte_of_a_library_is_found_when_it_is_opened() {
+fn changed_bytes_of_a_library_are_detected_on_opening() {
     let log = built();
     log.succeed("templates sk --out t --min-points 1");
     assert_eq!(verified(&log, "t", 0)["damaged"], json!([]));

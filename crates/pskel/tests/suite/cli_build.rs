@@ -14,7 +14,7 @@ use crate::tiny_log::{CAMERAS, FRAMES, PSKEL, TinyLog, assert_failed, picture, s
 const BUILD: &str = "build nuscenes:log --out out/sk";
 
 #[test]
-fn a_log_becomes_a_skeleton_and_every_point_is_accounted_for() {
+fn builds_a_skeleton_and_accounts_for_every_point() {
     let log = TinyLog::new();
     let summary = log.succeed(BUILD);
     assert!(summary.starts_with("built tiny from 3 frames") && summary.contains("dropped"), "{summary}");
@@ -48,7 +48,7 @@ fn a_log_becomes_a_skeleton_and_every_point_is_accounted_for() {
 }
 
 #[test]
-fn two_builds_give_the_same_bytes_whatever_the_threads() {
+fn builds_are_identical_for_any_number_of_threads() {
     let log = TinyLog::new();
     assert!(log.run_with(BUILD, "1").status.success());
     let first = tree(&log.path("out/sk"));
@@ -177,7 +177,7 @@ fn wrong_usage_exits_with_2_and_frames_out_of_the_log_with_1() {
 }
 
 #[test]
-fn converted_points_come_back() {
+fn converted_points_are_read_back() {
     let log = TinyLog::new();
     log.succeed(BUILD);
     log.succeed("convert out/sk --out out/npy");
@@ -213,7 +213,7 @@ fn converted_points_come_back() {
 }
 
 #[test]
-fn a_template_is_centred_and_gets_its_kind_s_class() {
+fn a_template_is_centered_and_has_its_kinds_class() {
     let log = TinyLog::new();
     log.succeed(BUILD);
     log.succeed("convert out/sk --out out/npy");
@@ -228,7 +228,7 @@ fn a_template_is_centred_and_gets_its_kind_s_class() {
 }
 
 #[test]
-fn more_threads_than_any_machine_has_use_for_are_refused() {
+fn rejects_too_many_threads() {
     let log = TinyLog::new();
     let output = log.run_with("build nuscenes:log --out out/sk", "100000");
     assert_failed(&output, 2, &["threads in RAYON_NUM_THREADS, found 100000"]);

@@ -48,7 +48,7 @@ fn car(log: &TinyLog, extra: &str, folder: &str) -> Car {
 }
 
 #[test]
-fn all_formats_hold_the_same_frames() {
+fn all_formats_have_the_same_frames() {
     let log = built();
     std::fs::write(log.path("prompt.json"), r#"{"weather": "Sunny", "city": "Nowhere"}"#).unwrap();
     let summary = log.succeed(&format!("{RENDER} --annotations prompt.json"));
@@ -123,7 +123,7 @@ fn all_rasterizers_and_threads_give_the_same_bytes() {
 }
 
 #[test]
-fn the_car_moves_in_the_image_as_the_ego_does() {
+fn the_car_moves_in_the_image_with_the_ego() {
     let log = built();
     // The template's back is 1.75 m wide and fills the 2 m box with its mirrors; at 10 m: columns 48 -+ 4.2.
     let frame = "--frames 0..1";
@@ -228,7 +228,7 @@ fn the_map_is_drawn_where_the_log_has_one() {
 }
 
 #[test]
-fn cameras_without_an_image_are_drawn_and_counted() {
+fn cameras_without_an_image_are_rendered_and_counted() {
     let log = built();
     // The back camera's image of frame 1 is no longer a key frame.
     log.change("sample_data", "/5/is_key_frame", json!(false));

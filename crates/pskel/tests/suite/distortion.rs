@@ -33,7 +33,7 @@ struct PeerCamera {
 }
 
 #[test]
-fn projected_points_are_opencvs() {
+fn projected_points_match_opencv() {
     const ALLOWED_PX: f64 = 1e-8;
     let peers: Peers = serde_json::from_str(include_str!("../peers/distortion.json")).unwrap();
     for peer in peers.cameras {
@@ -179,7 +179,7 @@ fn middle(image: &[[u8; 3]], width: u32) -> DVec2 {
 }
 
 #[test]
-fn boxes_bend_as_points_do() {
+fn boxes_are_distorted_like_points() {
     let mut wall = wall(vec![view("barrel", BARREL)]);
     // A small box, so that its lines stay near its center.
     let center = DVec3::new(-3.2, -1.6, 5.0);
@@ -193,7 +193,7 @@ fn boxes_bend_as_points_do() {
 }
 
 #[test]
-fn cameras_without_distortion_are_reduced_as_ever() {
+fn distortion_does_not_affect_pinhole_cameras() {
     let wall = wall(vec![view("a", [0.0; 5]), view("b", [0.0; 5])]);
     // There is no HD map.
     let others = |kind| matches!(kind, MapKind::Class | MapKind::Map);
@@ -211,7 +211,7 @@ fn cameras_without_distortion_are_reduced_as_ever() {
 }
 
 #[test]
-fn distorted_sizes_follow_the_options() {
+fn distorted_maps_have_the_requested_size() {
     let wall = wall(vec![view("barrel", BARREL)]);
     let half = Some(ImageSize { height: 45, width: 80 });
     let maps = options(&[MapKind::Point, MapKind::Tensor]);
@@ -228,7 +228,7 @@ fn distorted_sizes_follow_the_options() {
 }
 
 #[test]
-fn what_cannot_be_distorted_is_an_error() {
+fn rejects_cameras_that_cannot_be_distorted() {
     for color_filter in [ColorFilter::ValidArea, ColorFilter::VisibleArea] {
         let area = ConditionOptions { color_filter, ..ConditionOptions::default() };
         assert!(matches!(Distorter::new(&area), Err(ConditionError::DistortedArea)));
@@ -244,7 +244,7 @@ fn what_cannot_be_distorted_is_an_error() {
 }
 
 #[test]
-fn render_distort_leaves_pinholes_as_they_are() {
+fn render_distort_does_not_change_pinholes() {
     let log = TinyLog::new();
     log.succeed("build nuscenes:log --out sk");
     let render = "render nuscenes:log --skeleton sk --frames 0..2 --out-size 30x40 --out out";

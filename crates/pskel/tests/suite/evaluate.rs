@@ -6,7 +6,6 @@ use std::process::{Command, Output};
 use image::{GrayImage, ImageBuffer, Luma, Rgb, RgbImage};
 use serde_json::{Value, json};
 
-use crate::tiny_log::RunPskel as _;
 use crate::tiny_log::{PSKEL, assert_failed};
 
 const WIDTH: u32 = 28;
@@ -146,7 +145,7 @@ fn number(value: &Value) -> f64 {
 }
 
 #[test]
-fn rollouts_are_scored_alone_and_together() {
+fn rollouts_are_scored_individually_and_together() {
     let rollouts = Rollouts::new();
     rollouts.add("copy", 0);
     rollouts.add("faded", 2);
@@ -222,7 +221,7 @@ fn npy(path: &Path, shape: &str, values: &[f64]) {
 }
 
 #[test]
-fn masks_classifiers_and_features_of_others_are_used() {
+fn external_masks_classifiers_and_features_are_used() {
     let rollouts = Rollouts::new();
     rollouts.add("a", 1);
     rollouts.add("other", 0);
@@ -267,7 +266,7 @@ fn masks_classifiers_and_features_of_others_are_used() {
 }
 
 #[test]
-fn what_is_not_known_is_null_and_told() {
+fn unknown_metrics_are_null_and_noted() {
     let rollouts = Rollouts::new();
     rollouts.add("a", 1);
     for step in 0..STEPS {

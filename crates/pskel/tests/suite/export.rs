@@ -36,7 +36,7 @@ fn copy(log: &TinyLog, folder: &str, scene: &str) {
 }
 
 #[test]
-fn tar_shards_hold_the_maps_of_render() {
+fn tar_shards_contain_the_maps_of_render() {
     let log = TinyLog::new();
     let told = log.succeed(&format!("{EXPORT} --layout webdataset --format safetensors --images"));
     assert!(told.starts_with("wrote 1 shards with 3 samples, 1 skeletons built"), "{told}");
@@ -94,7 +94,7 @@ fn tar_shards_hold_the_maps_of_render() {
 }
 
 #[test]
-fn frames_are_those_of_render() {
+fn frames_equal_the_maps_of_render() {
     let log = TinyLog::new();
     log.succeed(&format!("{EXPORT} --layout frames --shard-frames 2"));
     log.succeed("render nuscenes:log --skeleton sks/tiny --rasterizer cpu --out-size 32x48 --out rendered");
@@ -115,7 +115,7 @@ fn frames_are_those_of_render() {
 
 /// The cache has the tokens of images as names, layouts at the size of the images, and bins times 255.
 #[test]
-fn the_cache_of_the_paper_is_by_token() {
+fn the_papers_cache_is_keyed_by_token() {
     let log = TinyLog::new();
     log.succeed(&format!("{EXPORT} --layout pas-cache --color-folder proj_clr_v2"));
     let files = tree(&log.path("out"));
@@ -152,7 +152,7 @@ fn the_cache_of_the_paper_is_by_token() {
 }
 
 #[test]
-fn packages_name_what_they_hold() {
+fn packages_list_their_content() {
     let log = TinyLog::new();
     std::fs::write(log.path("c.json"), r#"{"tiny": "of the log", "d2CAM_BACK": "of the image"}"#).unwrap();
     log.succeed(&format!("{EXPORT} --layout opendwm-preview --images --captions c.json"));
@@ -170,7 +170,7 @@ fn packages_name_what_they_hold() {
 }
 
 #[test]
-fn parts_and_later_runs_give_the_bytes_of_one_run() {
+fn parts_and_later_runs_give_the_same_bytes_as_one_run() {
     let log = TinyLog::new();
     copy(&log, "log2", "other.scene");
     let both = "export nuscenes:log nuscenes:log2 --skeletons sks --out-size 32x48 --rasterizer cpu --layout \
@@ -208,7 +208,7 @@ fn parts_and_later_runs_give_the_bytes_of_one_run() {
 }
 
 #[test]
-fn a_killed_export_goes_on() {
+fn a_killed_export_is_resumed() {
     let log = TinyLog::new();
     let export = format!("{EXPORT} --layout webdataset --shard-frames 1");
     log.succeed(&export);
@@ -233,7 +233,7 @@ fn a_killed_export_goes_on() {
 
 /// Damaged logs, and a disk that is full for one shard: the rest is exported.
 #[test]
-fn failures_cost_their_own_shards_alone() {
+fn failures_affect_only_their_own_shards() {
     let log = TinyLog::new();
     copy(&log, "bad", "bad");
     copy(&log, "unlisted", "unlisted");

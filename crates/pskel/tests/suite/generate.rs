@@ -116,7 +116,7 @@ impl<C: Condition> TrainingClip<C> {
 }
 
 #[test]
-fn schedules_are_those_of_diffusers() {
+fn schedules_match_diffusers() {
     let Some(folder) = fixtures("schedules of another implementation") else { return };
     let file: Value =
         serde_json::from_slice(&std::fs::read(folder.join("generate/schedules.json")).unwrap()).unwrap();
@@ -201,7 +201,7 @@ fn assert_near(ours: &[Latent], theirs: &[Latent], within: f32) {
 }
 
 #[test]
-fn rollouts_are_those_of_another_implementation() {
+fn rollouts_match_another_implementation() {
     let Some(folder) = fixtures("rollouts of another implementation") else { return };
     let path = folder.join("generate/rollout.npz");
     let named = |name: &str| latents(&path, name);
@@ -267,7 +267,7 @@ const STRATEGIES: [Strategy; 6] = [
 
 /// Also at the end, where there are fewer forecasts, and after it, where there are none.
 #[test]
-fn every_frame_is_finished_when_it_comes() {
+fn every_frame_is_finished_when_it_is_due() {
     for strategy in STRATEGIES {
         let options = options(strategy);
         let drive = TrainingClip::new(&options);
@@ -298,7 +298,7 @@ fn every_frame_is_finished_when_it_comes() {
 
 /// Rolling has no effect if all frames except one are clean.
 #[test]
-fn all_but_one_clean_is_causal() {
+fn rolling_with_one_noisy_frame_is_causal() {
     let frames = |strategy: Strategy| {
         let options = GenerateOptions { clean: 3, ..options(strategy) };
         let drive = TrainingClip::new(&options);
@@ -308,7 +308,7 @@ fn all_but_one_clean_is_causal() {
 }
 
 #[test]
-fn a_window_that_is_kept_needs_its_forecasts() {
+fn a_retained_window_needs_its_forecasts() {
     let options = options(Strategy::Rolling);
     let drive = TrainingClip::new(&options);
     let mut generator = drive.generator(LinearDenoiser { shape: SHAPE }, GaussianNoise { seed: 1 }, options);
@@ -325,7 +325,7 @@ proptest! {
 
     /// Resetting rolls leave no trace of forecasts, bit by bit; frames that roll on retain it.
     #[test]
-    fn the_cache_has_seen_no_forecast(seed in 0u64.., changed in 0usize..8) {
+    fn the_cache_is_independent_of_forecasts(seed in 0u64.., changed in 0usize..8) {
         for (strategy, forgets) in STRATEGIES.map(|strategy| (strategy, strategy == Strategy::ResetAndRoll)) {
             let options = options(strategy);
             let mut drive = TrainingClip::new(&options);
@@ -350,7 +350,7 @@ proptest! {
 }
 
 #[test]
-fn a_generator_goes_on_from_its_cache() {
+fn a_generator_resumes_from_its_cache() {
     for strategy in STRATEGIES {
         let options = options(strategy);
         let drive = TrainingClip::new(&options);
@@ -402,7 +402,7 @@ fn damaged_caches_are_refused() {
 
 /// Guidance moves away from the unconditional prediction; expected values are computed by hand.
 #[test]
-fn guidance_weighs_two_predictions() {
+fn guidance_combines_two_predictions() {
     let plain = options(Strategy::Causal { history_noise: 0 });
     let drive = TrainingClip::new(&plain);
     let frame = |scale: f32| {
@@ -450,7 +450,7 @@ impl Denoiser for Failing {
 }
 
 #[test]
-fn what_a_network_does_wrong_is_told_and_changes_nothing() {
+fn network_errors_are_reported_and_change_nothing() {
     let options = options(Strategy::ResetAndRoll);
     let drive = TrainingClip::new(&options);
     let other = LatentShape { views: 1, ..SHAPE };

@@ -53,7 +53,7 @@ fn block_means(image: &RgbImage) -> RgbImage {
 }
 
 #[test]
-fn a_log_s_images_are_made_of_its_conditions() {
+fn images_are_generated_from_the_logs_conditions() {
     let log = built();
     denoiser(&log, "");
     let summary = log.succeed(&format!("{GENERATE} --window 2 --profile profile.json"));
@@ -145,7 +145,7 @@ fn generated_images_are_written_back_into_the_data_set() {
 }
 
 #[test]
-fn a_closed_loop_goes_on_to_the_same_bytes() {
+fn a_closed_loop_resumes_to_the_same_bytes() {
     let log = built();
     weights(&[made(1, 6)]).write(&log.path("w.safetensors")).unwrap();
     let args = |out: &str| {
@@ -199,7 +199,7 @@ fn a_closed_loop_goes_on_to_the_same_bytes() {
 }
 
 #[test]
-fn a_denoiser_that_fails_leaves_a_rollout_that_can_go_on() {
+fn a_failing_denoiser_leaves_a_resumable_rollout() {
     let log = built();
     denoiser(&log, "");
     log.succeed(&format!("{GENERATE} --window 2"));
@@ -257,7 +257,7 @@ def serve(source, out):
 denoiser.serve = serve";
 
 #[test]
-fn a_process_may_encode_and_decode_itself() {
+fn a_process_may_have_its_own_codec() {
     let log = built();
     denoiser(&log, WITH_CODEC);
     log.succeed(&format!("{GENERATE} --strategy causal --window 2 --infer-steps 3"));
@@ -289,7 +289,7 @@ fn a_process_may_encode_and_decode_itself() {
 }
 
 #[test]
-fn planners_see_what_was_generated_and_not_what_is_true() {
+fn planners_see_generated_images_instead_of_ground_truth() {
     let log = built();
     denoiser(&log, "");
     planner(&log, "while read -r observation; do echo \"$observation\" >> seen.txt; answer; done");
@@ -318,7 +318,7 @@ fn planners_see_what_was_generated_and_not_what_is_true() {
 }
 
 #[test]
-fn wrong_generators_are_told_before_anything_is_written() {
+fn invalid_generators_are_rejected_before_writing() {
     let log = built();
     denoiser(&log, "");
     weights(&[made(1, 6)]).write(&log.path("w.safetensors")).unwrap();
@@ -356,7 +356,7 @@ fn wrong_generators_are_told_before_anything_is_written() {
 }
 
 #[test]
-fn frames_have_their_captions() {
+fn captions_are_assigned_to_frames() {
     let log = built();
     // The prompts of each call as a line.
     let keeps = "import json\nread = denoiser.predict\ndef predict(tensors):\n    return read(tensors)\n\

@@ -28,7 +28,7 @@ fn text(log: &TinyLog, target: &str) -> String {
 }
 
 #[test]
-fn a_log_is_told_with_its_damage() {
+fn describes_a_log_and_its_damage() {
     let log = TinyLog::new();
     let whole = info(&log, "nuscenes:log");
     assert_eq!(
@@ -54,7 +54,7 @@ fn a_log_is_told_with_its_damage() {
 
 /// Reports features that the map reader skipped; checks an image that serves two frames only once.
 #[test]
-fn a_log_of_nuplan_is_told_with_its_map() {
+fn describes_a_nuplan_log_and_its_map() {
     let (log, made) = (TinyLog::new(), Made::new());
     made.map_sql("UPDATE baseline_paths SET lane_fid = 99 WHERE fid = 41;");
     std::fs::write(made.blob(&image_file(RING[0], 0)), "text").unwrap();
@@ -67,7 +67,7 @@ fn a_log_of_nuplan_is_told_with_its_map() {
 }
 
 #[test]
-fn a_skeleton_and_files_are_told() {
+fn describes_a_skeleton_and_files() {
     let log = TinyLog::new();
     log.succeed("build nuscenes:log --out out/sk");
     let skeleton = info(&log, "out/sk");

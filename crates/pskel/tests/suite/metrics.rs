@@ -80,7 +80,7 @@ fn assert_close(what: &str, ours: f64, peer: f64, most: f64) {
 }
 
 #[test]
-fn images_are_compared_as_numpy_does() {
+fn image_metrics_match_numpy() {
     for case in peers().images {
         let [a, b] = case.starts.map(|start| image(case.size, start, case.smooth));
         assert_close("PSNR", psnr_db(&a, &b).unwrap(), case.psnr_db, 1e-12);
@@ -90,7 +90,7 @@ fn images_are_compared_as_numpy_does() {
 }
 
 #[test]
-fn distances_are_those_of_scipy() {
+fn distances_match_scipy() {
     for case in peers().sets {
         let (a, b) = (features(case.rows[0], case.columns, 0), features(case.rows[1], case.columns, 50_000));
         // With fewer rows than features the rank is deficient: square roots amplify rounding errors.
@@ -101,7 +101,7 @@ fn distances_are_those_of_scipy() {
 }
 
 #[test]
-fn vehicle_masks_are_those_of_opencv() {
+fn vehicle_masks_match_opencv() {
     for case in peers().masks {
         let mask: Vec<u8> = vehicle_mask(&case.class, case.size[1]).into_iter().map(u8::from).collect();
         assert_eq!(mask, case.mask, "{:?}", case.size);
@@ -111,7 +111,7 @@ fn vehicle_masks_are_those_of_opencv() {
 /// Vehicles of a town: the projection hardly changes their dense masks, and restores most of the masks from
 /// sparse points.
 #[test]
-fn vehicle_masks_are_those_of_the_town() {
+fn vehicle_masks_match_the_town() {
     let [mut dense, mut sparse, mut points] = [Overlap::default(); 3];
     for frame in &town().recording().frames {
         let view = |image: &point_skeleton::dataset::ImageRecord| View {
@@ -135,7 +135,7 @@ fn vehicle_masks_are_those_of_the_town() {
 }
 
 #[test]
-fn intervals_have_the_quantiles_of_scipy() {
+fn interval_quantiles_match_scipy() {
     for (degrees, t) in peers().student_t {
         let count = degrees.parse::<usize>().unwrap() + 1;
         let values: Vec<f64> = (0..count).map(|i| (i * i % 7) as f64 + i as f64).collect();

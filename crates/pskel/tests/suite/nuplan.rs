@@ -13,7 +13,7 @@ use pskel_testing::nuplan_log::{
 };
 
 #[test]
-fn eight_cameras_at_half_the_rate_serve_every_frame() {
+fn cameras_at_half_the_rate_give_every_frame_an_image() {
     let made = Made::new();
     let dataset = made.open().unwrap();
     let log = dataset.recording();
@@ -45,7 +45,7 @@ fn eight_cameras_at_half_the_rate_serve_every_frame() {
 }
 
 #[test]
-fn tracks_are_those_with_boxes_in_order_of_their_ids() {
+fn tracks_with_boxes_are_sorted_by_id() {
     let made = Made::new();
     let dataset = made.open().unwrap();
     let log = dataset.recording();
@@ -90,7 +90,7 @@ fn known_points_fall_on_known_pixels() {
 
 /// The car's box contains exactly the points that were placed on its back, of both devices.
 #[test]
-fn points_lie_in_the_box_that_they_were_put_into() {
+fn points_lie_in_their_box() {
     let made = Made::new();
     let dataset = made.open().unwrap();
     for frame in &dataset.recording().frames {
@@ -136,7 +136,7 @@ fn a_scene_is_a_part_of_the_log() {
 }
 
 #[test]
-fn files_that_are_not_there_are_left_out_and_counted() {
+fn missing_files_are_skipped_and_counted() {
     let made = Made::new();
     std::fs::remove_file(made.blob(&sweep_file(2))).unwrap();
     for camera in &RING[..3] {
@@ -182,7 +182,7 @@ fn cameras_without_an_image_near_a_frame_are_counted() {
 }
 
 #[test]
-fn images_that_no_frame_is_near_lie_between_frames() {
+fn images_far_from_every_frame_lie_between_frames() {
     let made = Made::new();
     let (old, new) = (token('i', 3), token('i', 99));
     let rest = "next_token, prev_token, ego_pose_token, camera_token, filename_jpg";
@@ -247,7 +247,7 @@ fn folders_and_sets_name_several_logs() {
 }
 
 #[test]
-fn parts_may_lie_elsewhere() {
+fn sensors_and_maps_may_be_in_other_folders() {
     let made = Made::new();
     for (from, to) in [("nuplan-v1.1/sensor_blobs", "blobs"), ("maps", "places")] {
         std::fs::rename(made.path(from), made.path(to)).unwrap();
@@ -290,7 +290,7 @@ fn a_journal_beside_a_log_is_an_error() {
 }
 
 #[test]
-fn a_map_is_read_into_meters() {
+fn maps_are_projected_to_meters() {
     let made = Made::new();
     let map = made.open().unwrap().read_map().unwrap().unwrap();
     assert_eq!(map.location, MAP);

@@ -102,7 +102,7 @@ fn a_missing_table_is_named() {
 }
 
 #[test]
-fn a_truncated_table_is_named_with_its_end() {
+fn truncated_tables_are_named_with_their_length() {
     for table in ["sample_data", "sample_annotation", "ego_pose", "scene"] {
         let broken = Broken::new();
         let bytes = std::fs::read(broken.table(table)).unwrap();
@@ -117,7 +117,7 @@ fn a_truncated_table_is_named_with_its_end() {
 }
 
 #[test]
-fn tokens_that_lead_nowhere_are_named() {
+fn dangling_tokens_are_named() {
     let cases = [
         ("scene", "log_token", "log"),
         ("scene", "first_sample_token", "sample"),
@@ -134,7 +134,7 @@ fn tokens_that_lead_nowhere_are_named() {
 
 /// A missing record costs the data and boxes that refer to it, as a missing file does.
 #[test]
-fn what_refers_to_a_missing_record_is_skipped_or_refused() {
+fn dependents_of_a_missing_record_are_skipped_or_rejected() {
     let cases = [
         ("sample_data", "calibrated_sensor_token", "calibrated_sensor"),
         ("sample_data", "ego_pose_token", "ego_pose"),
@@ -255,7 +255,7 @@ fn scenes_and_versions_must_be_chosen() {
 }
 
 #[test]
-fn what_is_left_out_is_counted() {
+fn skipped_items_are_counted() {
     let broken = Broken::new();
     broken.edit("sample_data", |r| {
         let camera = r.iter().position(|d| d["filename"].as_str().unwrap().contains("CAM_BACK/")).unwrap();
@@ -286,7 +286,7 @@ fn add_between(records: &mut Vec<Value>, channel: &str, t_us: i64) {
 }
 
 #[test]
-fn what_lies_between_frames_belongs_to_the_interval_that_ends_with_a_frame() {
+fn data_between_frames_belongs_to_the_next_frame() {
     let broken = Broken::new();
     let times = broken.open_as("").unwrap().recording().frames.iter().map(|f| f.t_us).collect::<Vec<_>>();
     let (first, last) = (times[0], times[FRAMES - 1]);

@@ -51,7 +51,7 @@ fn read(map: &Value) -> Result<VectorMap, String> {
 }
 
 #[test]
-fn a_made_up_map_is_read_whole() {
+fn reads_a_synthetic_map() {
     let map = read(&made_up()).unwrap();
     let at = |x: f64, y: f64| DVec2::new(x, y);
     let half = Area { exterior: vec![at(0.0, 0.0), at(10.0, 0.0), at(10.0, 10.0)], holes: vec![] };
@@ -161,7 +161,7 @@ fn records_without_a_shape_are_skipped_and_counted() {
 }
 
 #[test]
-fn broken_maps_are_told() {
+fn broken_maps_are_errors() {
     type Edit = fn(&mut Value);
     let cases: [(Edit, &[&str]); 4] = [
         (
@@ -186,7 +186,7 @@ fn broken_maps_are_told() {
 }
 
 #[test]
-fn layers_that_a_map_lacks_are_counted() {
+fn missing_map_layers_are_counted() {
     for layer in ["line", "drivable_area", "ped_crossing", "stop_line", "road_divider", "lane_divider"] {
         for value in [None, Some(Value::Null)] {
             let mut map = made_up();
@@ -278,7 +278,7 @@ fn log_with(map_root: Option<PathBuf>, root: &Path) -> NuScenes {
 
 /// The file is named after the log's location. `--map-root` takes precedence; without a file there is no map.
 #[test]
-fn the_map_of_the_logs_place_is_found() {
+fn the_map_of_the_logs_location_is_found() {
     let folder = tempfile::tempdir().unwrap();
     let root = folder.path();
     copy_to(root, |name| name.starts_with(VERSION));
@@ -328,7 +328,7 @@ fn a_real_map_without_centerlines_is_read() {
 
 /// Compares centerlines with the start and end of each path in the file, and lanes with their successors.
 #[test]
-fn the_map_of_the_pandaset_drive_fits_together() {
+fn the_pandaset_map_is_consistent() {
     let Some(shared) = shared("the PandaSet drive") else { return };
     let root = shared.join("data/pandaset-002/nuscenes");
     let map = log_with(None, &root).read_map().unwrap().unwrap();

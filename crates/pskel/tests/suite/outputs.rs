@@ -42,7 +42,7 @@ fn put(log: &TinyLog, name: &str) {
 }
 
 #[test]
-fn files_of_others_are_never_deleted() {
+fn foreign_files_are_never_deleted() {
     // Foreign files in a folder that was never an output, and in the output of an earlier run.
     for (args, fresh, within) in [
         (CONVERT, "thesis.tex", "out/actors/thesis.tex"),
@@ -106,7 +106,7 @@ fn folders_list_their_files() {
 }
 
 #[test]
-fn files_of_others_beside_maps_stay() {
+fn foreign_files_beside_maps_stay() {
     for args in [RENDER, SIMULATE] {
         let log = ready();
         put(&log, "out/thesis.tex");
@@ -201,7 +201,7 @@ fn only_regular_files_are_replaced() {
 }
 
 #[test]
-fn folders_are_written_where_their_path_leads() {
+fn output_paths_follow_links() {
     let log = ready();
     let whole = tree(&log.path("sk"));
     // A link stays a link.
@@ -257,7 +257,7 @@ fn said(child: &mut Child) -> String {
 }
 
 #[test]
-fn a_signal_ends_a_run_with_nothing_half_written() {
+fn a_signal_leaves_no_partial_files() {
     for (signal, code) in [(Signal::INT, 130), (Signal::TERM, 143), (Signal::HUP, 129)] {
         let log = ready();
         let mut child = start_hanging(&log);
@@ -275,7 +275,7 @@ fn a_signal_ends_a_run_with_nothing_half_written() {
 }
 
 #[test]
-fn a_second_process_says_that_the_first_is_at_work() {
+fn a_second_process_reports_the_first() {
     let log = ready();
     let mut child = start_hanging(&log);
     wait_for("steps", || log.path("out/steps/000000").is_dir());
@@ -328,7 +328,7 @@ fn a_rollout_without_a_step_resumes_from_the_start() {
 }
 
 #[test]
-fn closed_and_full_outputs_do_not_stop_the_work() {
+fn closed_or_full_streams_do_not_stop_the_work() {
     let log = ready();
     let shell = |line: &str| {
         let mut command = Command::new("bash");

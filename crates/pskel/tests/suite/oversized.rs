@@ -14,7 +14,7 @@ use pskel_testing::av2_log::{TinyAv2, sweep, write};
 use pskel_testing::nuplan_log::Made;
 
 #[test]
-fn views_without_end_are_given_up() {
+fn endless_views_are_aborted() {
     for (table, columns) in [("lidar_box", "other.*"), ("log", "other.*"), ("ego_pose", "other.*")] {
         let made = Made::new();
         made.sql(&format!(
@@ -28,7 +28,7 @@ fn views_without_end_are_given_up() {
 }
 
 #[test]
-fn values_that_a_file_cannot_hold_are_refused() {
+fn rejects_more_values_than_a_file_can_contain() {
     let made = Made::new();
     made.sql(
         "ALTER TABLE scenario_tag RENAME TO other; CREATE VIEW scenario_tag AS
@@ -38,7 +38,7 @@ fn values_that_a_file_cannot_hold_are_refused() {
 }
 
 #[test]
-fn columns_that_unpack_to_much_are_refused() {
+fn rejects_columns_that_unpack_to_gigabytes() {
     let made = TinyAv2::new();
     let (dataset, path) = (made.open().unwrap(), made.path(&sweep(0)));
     // 40 MB of zeros in a few kilobytes.
@@ -55,7 +55,7 @@ fn columns_that_unpack_to_much_are_refused() {
 }
 
 #[test]
-fn corners_that_many_records_share_are_refused() {
+fn rejects_corners_shared_by_too_many_records() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("m.json");
     let map = |areas: usize| {
@@ -77,7 +77,7 @@ fn corners_that_many_records_share_are_refused() {
 }
 
 #[test]
-fn times_of_other_millennia_are_refused() {
+fn rejects_times_of_other_millennia() {
     for (table, pointer) in [("sample", "/2/timestamp"), ("sample_data", "/0/timestamp")] {
         for t_us in [i64::MAX, i64::MIN] {
             let log = TinyLog::new();

@@ -98,7 +98,7 @@ fn planners_end_with_the_program() {
 
 /// A stopped planner leaves no guard process behind, neither running nor as a zombie.
 #[test]
-fn nothing_is_left_of_a_planner_that_was_let_go() {
+fn a_stopped_planner_leaves_no_process() {
     let log = made::log(6);
     let folder = tempfile::tempdir().unwrap();
     let address = PeerAddress::Command(planner(folder.path()));

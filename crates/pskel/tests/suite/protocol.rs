@@ -136,7 +136,7 @@ fn lane_changes_are_compared_with_the_images_of_the_log() {
 }
 
 #[test]
-fn wrong_protocols_are_told_before_anything_is_written() {
+fn invalid_protocols_are_rejected_before_writing() {
     let log = built();
     let run = |args: &str| log.run(&format!("protocol {args} --skeletons sks --out p --rasterizer cpu"));
     let val = "nuscenes-val nuscenes:log";

@@ -93,7 +93,7 @@ fn keyframes_at_2_hz_become_12_hz() {
 }
 
 #[test]
-fn render_at_a_rate_steps_through_the_chosen_frames() {
+fn render_at_a_rate_covers_the_selected_frames() {
     let log = TinyLog::new();
     log.succeed("build nuscenes:log --out sk");
     let render = "render nuscenes:log --skeleton sk --format npz --splat 100:0 --out out";

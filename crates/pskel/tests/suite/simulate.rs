@@ -65,7 +65,7 @@ fn video(path: &Path) -> (u16, u16, u32, f64) {
 }
 
 #[test]
-fn a_rollout_leaves_all_its_files() {
+fn a_rollout_writes_all_its_files() {
     let log = built();
     let summary = log.succeed(&format!("{SIMULATE} --steps 8 --ego lane_change --profile profile.json"));
     assert!(summary.starts_with("simulated 8 steps, ego lane_change, actors replay, by cpu"), "{summary}");
@@ -157,7 +157,7 @@ fn a_rollout_leaves_all_its_files() {
 }
 
 #[test]
-fn a_rollout_that_is_resumed_is_the_one_that_ran_through() {
+fn a_resumed_rollout_equals_an_uninterrupted_one() {
     let log = built();
     let simulate = |out: &str, rest: &str| {
         let policies = "--ego lane_change --tracking bicycle --actors reactive --maps color,instance";
@@ -224,7 +224,7 @@ fn a_rollout_ends_with_the_log() {
 }
 
 #[test]
-fn a_planner_that_dies_leaves_the_steps_until_then() {
+fn a_planner_that_dies_leaves_the_earlier_steps() {
     let log = built();
     planner(
         &log,
@@ -273,7 +273,7 @@ answer() {{
 }
 
 #[test]
-fn a_planner_that_hangs_or_talks_nonsense_ends_a_rollout_that_can_go_on() {
+fn a_planner_that_hangs_or_fails_leaves_a_resumable_rollout() {
     let log = built();
     let args = |out: &str| {
         let ego = "--ego external --planner ./planner.sh --planner-timeout 10 --maps instance --steps 10";
@@ -305,7 +305,7 @@ fn a_planner_that_hangs_or_talks_nonsense_ends_a_rollout_that_can_go_on() {
 }
 
 #[test]
-fn every_saved_step_can_be_gone_on_from() {
+fn every_saved_step_can_be_resumed() {
     let log = built();
     for (ego, tracking, actors) in [
         ("lane_change", "bicycle", "idm"),
@@ -326,7 +326,7 @@ fn every_saved_step_can_be_gone_on_from() {
 }
 
 #[test]
-fn logs_without_boxes_or_with_a_gap_are_driven_and_told() {
+fn logs_without_boxes_or_with_a_gap_are_simulated_and_noted() {
     let log = built();
     // The last frame is 3 s late: the log covers 4 s.
     let late = FIRST_US + 4_000_000;
@@ -359,7 +359,7 @@ fn logs_without_boxes_or_with_a_gap_are_driven_and_told() {
 }
 
 #[test]
-fn trajectories_of_any_length_are_driven_and_bad_ones_told() {
+fn trajectories_of_any_length_work_and_bad_ones_are_errors() {
     let log = built();
     let args = format!("{SIMULATE} --maps depth --steps 8 --ego file --trajectory");
     for (name, content, parts) in [
@@ -384,7 +384,7 @@ fn trajectories_of_any_length_are_driven_and_bad_ones_told() {
 }
 
 #[test]
-fn a_full_disk_leaves_whole_steps_and_lines() {
+fn a_full_disk_leaves_complete_steps_and_lines() {
     let log = built();
     // First without room even for the options; then with enough KiB for the files of each step, but not for
     // all state lines.

@@ -15,7 +15,7 @@ fn refused(log: &TinyLog, args: &str, parts: &[&str]) {
 }
 
 #[test]
-fn a_rollout_goes_on_with_what_it_was_begun_with_only() {
+fn a_rollout_resumes_only_with_its_original_inputs() {
     let log = built();
     std::fs::write(log.path("sunny.json"), r#"{"weather": "Sunny"}"#).unwrap();
     std::fs::write(log.path("rainy.json"), r#"{"weather": "Rainy"}"#).unwrap();
@@ -45,7 +45,7 @@ fn a_rollout_goes_on_with_what_it_was_begun_with_only() {
 }
 
 #[test]
-fn fewer_steps_than_there_are_are_refused() {
+fn rejects_fewer_steps_than_exist() {
     let log = built();
     let args = |rest: &str| format!("{SIMULATE} --maps depth --ego straight {rest}");
     log.succeed(&args("--steps 8"));
@@ -82,7 +82,7 @@ fn maps_and_rollouts_do_not_share_a_folder() {
 }
 
 #[test]
-fn what_a_rollout_came_to_is_told() {
+fn the_result_of_a_rollout_is_reported() {
     let log = built();
     let summary = log.succeed(&format!("{SIMULATE} --maps depth --steps 8"));
     let results =
@@ -102,7 +102,7 @@ fn what_a_rollout_came_to_is_told() {
 }
 
 #[test]
-fn a_report_that_fails_does_not_hide_why_the_rollout_did() {
+fn a_failing_report_does_not_hide_the_rollouts_error() {
     let log = built();
     // The planner blocks the path of the metrics file with a folder, then exits.
     planner(&log, "read -r observation; mkdir -p out/metrics.json/full; exit 3");

@@ -142,7 +142,7 @@ fn check_actors(row: &Value, update: &SceneUpdate) {
 }
 
 #[test]
-fn the_file_has_all_of_the_rollout() {
+fn the_file_contains_the_whole_rollout() {
     let log = built();
     let simulate = format!("{SIMULATE} --steps 14 --ego lane_change");
     log.succeed(&simulate);
@@ -219,7 +219,7 @@ fn equal_rollouts_give_equal_files() {
 }
 
 #[test]
-fn a_failed_rollout_has_its_file() {
+fn a_failed_rollout_writes_its_file() {
     let log = built();
     // The ego drives through the car ahead; then the planner exits.
     planner(

@@ -189,7 +189,7 @@ fn a_file_size_limit_is_an_error_that_names_the_file() {
 }
 
 #[test]
-fn rows_that_are_not_finite_are_counted_and_keep_their_number() {
+fn non_finite_rows_are_counted_and_retain_their_number() {
     let case = Case::new();
     let mut points: Vec<Point> = cloud(&case.path("p.npy"));
     points[0].position[1] = f32::NAN;

@@ -119,7 +119,7 @@ fn actors_of_several_skeletons_become_a_library() {
 }
 
 #[test]
-fn a_log_gives_templates_as_its_skeleton_does() {
+fn templates_of_a_log_equal_its_skeletons() {
     let log = TinyLog::new();
     log.succeed("templates nuscenes:log --out out/t --min-points 10");
     log.succeed("build nuscenes:log --out sk");
@@ -128,7 +128,7 @@ fn a_log_gives_templates_as_its_skeleton_does() {
 }
 
 #[test]
-fn what_is_wrong_with_templates_is_told_and_leaves_nothing() {
+fn template_errors_leave_no_output() {
     let log = TinyLog::new();
     two_skeletons(&log);
     write_skeleton(&log.path("none"), "none", Vec::new());
@@ -200,7 +200,7 @@ fn damaged_libraries_are_errors_that_leave_nothing() {
 }
 
 #[test]
-fn a_skeleton_s_own_templates_go_first_then_the_library_s_then_the_built_in_ones() {
+fn templates_take_precedence_skeleton_library_built_in() {
     let log = TinyLog::new();
     two_skeletons(&log);
     log.succeed("templates sk1 --out t");
@@ -233,7 +233,7 @@ fn a_skeleton_s_own_templates_go_first_then_the_library_s_then_the_built_in_ones
 }
 
 #[test]
-fn worse_assets_are_the_same_every_time_and_stand_in_the_index() {
+fn degraded_assets_are_reproducible_and_listed_in_the_index() {
     let log = TinyLog::new();
     log.succeed("build nuscenes:log --out sk --voxel 0");
     let run = |args: &str, threads: &str| {
@@ -285,7 +285,7 @@ fn known(kind: TemplateKind) -> [[f64; 2]; 3] {
 }
 
 #[test]
-fn templates_of_a_real_drive_have_sizes_of_their_kind() {
+fn templates_of_a_real_recording_have_plausible_sizes() {
     let Some(folder) = shared("the PandaSet drive") else { return };
     let folder = folder.join("data/pandaset-002/nuscenes");
     let locator = format!("nuscenes:{}", folder.display()).parse().unwrap();

@@ -42,7 +42,7 @@ struct Case {
 }
 
 #[test]
-fn tensors_equal_numpys() {
+fn tensors_match_numpy() {
     let peers: Peers = serde_json::from_str(include_str!("../peers/tensor.json")).unwrap();
     let rgb = |levels: &[u8]| levels.as_chunks::<3>().0.to_vec();
     for case in peers.cases {
@@ -75,7 +75,7 @@ fn channels_of(bin: u16) -> [f32; 17] {
 }
 
 #[test]
-fn fixture_tensors_are_those_of_the_references_bins() {
+fn fixture_tensors_match_the_references_bins() {
     let Some(fixtures) = common::fixtures("projection-pandaset") else { return };
     let path = fixtures.join("projection-pandaset/reduced.npz");
     let (color, depth) = (npz::read::<u8>(&path, "color"), npz::read::<f32>(&path, "depth"));
@@ -110,7 +110,7 @@ fn built() -> TinyLog {
 }
 
 #[test]
-fn npz_and_safetensors_hold_the_tensor_of_the_maps() {
+fn npz_and_safetensors_contain_the_tensor_of_the_maps() {
     let log = built();
     let maps = "--maps color,depth,class,boxes,tensor --depth-embedding both --depth-bins log --far 60";
     log.succeed(&format!("{RENDER} --frames 1..2 --out-size 16x24 --format npz {maps}"));
@@ -151,7 +151,7 @@ fn npz_and_safetensors_hold_the_tensor_of_the_maps() {
 }
 
 #[test]
-fn the_tensor_alone_is_the_same_and_brings_no_other_maps() {
+fn requesting_only_the_tensor_gives_the_same_tensor() {
     let log = built();
     let args = "--frames 0..1 --out-size 16x24 --format safetensors";
     log.succeed(&format!("{RENDER}/all --maps color,depth,boxes,tensor {args}"));
@@ -177,7 +177,7 @@ fn the_tensor_alone_is_the_same_and_brings_no_other_maps() {
 }
 
 #[test]
-fn tensors_are_no_images_and_need_one_size() {
+fn rejects_tensors_as_images_or_with_several_sizes() {
     let log = built();
     for format in ["png", "exr"] {
         let args = format!("{RENDER} --maps color,tensor --format {format}");

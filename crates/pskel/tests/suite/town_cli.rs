@@ -8,7 +8,7 @@ use crate::tiny_log::RunPskel as _;
 use crate::tiny_log::{PSKEL, TinyLog, assert_failed, tree};
 
 #[test]
-fn a_town_comes_whole_or_not_at_all() {
+fn a_town_is_written_completely_or_not_at_all() {
     let log = TinyLog::new();
     let small = "--frames 1 --size 45x80";
     let summary = log.succeed(&format!("town --seed 2 {small} --truth --out out/town"));
@@ -38,7 +38,7 @@ fn a_town_comes_whole_or_not_at_all() {
 }
 
 #[test]
-fn options_that_no_town_has_are_wrong_usage() {
+fn invalid_town_options_are_usage_errors() {
     let log = TinyLog::new();
     for (args, said) in [
         ("town --beams 16 --out out/x", ["beams of 32 or 64", "\"16\""]),
@@ -64,7 +64,7 @@ fn options_that_no_town_has_are_wrong_usage() {
 }
 
 #[test]
-fn a_town_needs_a_place_to_be_written() {
+fn a_town_needs_a_writable_place() {
     let log = TinyLog::new();
     std::fs::write(log.path("file"), "").unwrap();
     let cases = [
@@ -87,7 +87,7 @@ fn a_town_needs_a_place_to_be_written() {
 
 /// Builds, renders and evaluates from memory; a skeleton of another town is refused.
 #[test]
-fn a_town_goes_through_all_commands() {
+fn all_commands_accept_a_town() {
     let log = TinyLog::new();
     let town = "town:seed=5,frames=2,size=90x160";
     let summary = log.succeed(&format!("build {town} --out out/sk"));

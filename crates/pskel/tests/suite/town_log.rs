@@ -29,7 +29,7 @@ fn close(a: &Pose, b: &Pose) -> bool {
 /// A log with a moved ego has the states of the log seen from the moved ego; a recorded log has no images
 /// there.
 #[test]
-fn a_moved_ego_takes_its_cameras_along() {
+fn cameras_move_with_a_moved_ego() {
     let offset = EgoOffset { forward_m: 0.5, left_m: 2.0, yaw_deg: 6.0 };
     let moved = MovedEgo::new(Box::new(Town::new(&OPTIONS).unwrap()), offset).unwrap();
     let log = town().recording();
@@ -118,7 +118,7 @@ fn frames_sweeps_and_images_have_their_times() {
 }
 
 #[test]
-fn a_town_written_is_read_as_it_was() {
+fn a_written_town_is_read_back_unchanged() {
     let (town, (_files, read)) = (town(), made_town::read());
     assert_eq!(made_town::written().done, (0..FRAMES).collect::<Vec<_>>());
     let (a, b) = (town.recording(), read.recording());
@@ -230,7 +230,7 @@ fn the_lidar_and_the_cameras_agree() {
 /// Points in the boxes of static actors: none sticks out, and at least half of the actors near the ego have
 /// points.
 #[test]
-fn boxes_hold_their_actors() {
+fn boxes_contain_their_actors() {
     let town = town();
     let frames = &town.recording().frames;
     let (frame, record) = (&frames[0], &frames[0].sweeps[0]);
@@ -264,7 +264,7 @@ fn boxes_hold_their_actors() {
 }
 
 #[test]
-fn the_truth_is_numbered_as_boxes_are() {
+fn ground_truth_is_numbered_like_boxes() {
     let town = town();
     let frame = &town.recording().frames[1];
     let views = views(town, 1);
@@ -309,7 +309,7 @@ fn the_truth_is_numbered_as_boxes_are() {
 /// Every point inside a box at the time of its sweep belongs to that actor. Between frames, the boxes are
 /// interpolated.
 #[test]
-fn sweeps_between_frames_are_split_by_boxes_in_between() {
+fn sweeps_between_frames_are_split_by_interpolated_boxes() {
     let (_files, drive) = made_town::read();
     let mut log = WithLog::grey(&drive, &[1, 2]);
     // All boxes creep forward independently of the actors, so that the choice of boxes matters.

@@ -138,7 +138,7 @@ fn compare(shown: &GroundTruthView, view: &View, (rays, draws): (&Rays, &[MeshDr
 }
 
 #[test]
-fn maps_are_those_of_rays() {
+fn maps_match_ray_casting() {
     let (meshes, draws) = scene();
     let rays = Rays::new(&meshes, &draws);
     let eye = DVec3::new(0.0, -0.4, 1.4);
@@ -174,7 +174,7 @@ fn maps_are_those_of_rays() {
 /// The comparison must be able to fail: a view shifted by one centimeter differs.
 #[test]
 #[should_panic(expected = "for")]
-fn maps_from_beside_are_told() {
+fn the_comparison_detects_a_shifted_view() {
     let (meshes, draws) = scene();
     let rays = Rays::new(&meshes, &draws);
     let from = |y: f64| view([45, 80], 60.0, DVec3::new(0.0, y, 1.4), [0.2, 0.05, 0.0]);
@@ -225,7 +225,7 @@ fn edges_are_blended_in_linear_light() {
 }
 
 #[test]
-fn the_sun_throws_shadows_where_something_is_in_its_way() {
+fn the_sun_casts_shadows() {
     let mut ground = Mesh::default();
     let corner = |x: f64, y: f64| DVec3::new(x, y, 0.0);
     let corners =
@@ -331,7 +331,7 @@ fn pictures_do_not_depend_on_threads() {
 }
 
 #[test]
-fn nothing_to_show_is_sky_and_wrong_draws_are_named() {
+fn an_empty_scene_is_sky_and_invalid_draws_are_named() {
     let mut block = Mesh::default();
     block.block(DVec3::ZERO, DVec3::ONE, plain(9));
     let empty = Mesh::default();

@@ -42,7 +42,7 @@ fn train(out: &str) -> String {
 }
 
 #[test]
-fn towns_become_weights_images_scores_and_tables() {
+fn trains_generates_evaluates_and_ablates() {
     let folder = tempfile::tempdir().unwrap();
     let folder = folder.path();
     std::fs::write(folder.join("net.json"), CONFIG).unwrap();

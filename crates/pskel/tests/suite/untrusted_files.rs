@@ -80,7 +80,7 @@ const BUILD: &str = "build nuscenes:log --out new --missing error";
 const FIRST: [&str; 2] = ["/0/filename", "/1/filename"];
 
 #[test]
-fn names_of_files_stay_below_the_data_set() {
+fn file_names_stay_below_the_data_set() {
     let log = TinyLog::new();
     let folder = log.path("");
     std::fs::create_dir(log.path("elsewhere")).unwrap();
@@ -134,7 +134,7 @@ fn names_of_files_stay_below_the_data_set() {
 }
 
 #[test]
-fn sensor_files_of_nuscenes_are_regular() {
+fn nuscenes_sensor_files_must_be_regular() {
     let log = TinyLog::new();
     for file in ["log/samples/0.pcd.bin", "log/samples/0-CAM_FRONT.png"] {
         refuse_all_kinds(&log.path(""), &log.path(file), &[BUILD]);
@@ -158,7 +158,7 @@ fn sensor_files_of_nuscenes_are_regular() {
 }
 
 #[test]
-fn tables_of_nuscenes_are_regular() {
+fn nuscenes_tables_must_be_regular_files() {
     let log = TinyLog::new();
     for table in ["scene", "sample_data", "ego_pose", "sensor", "sample_annotation"] {
         let file = log.path(&format!("log/v1.0-mini/{table}.json"));
@@ -167,7 +167,7 @@ fn tables_of_nuscenes_are_regular() {
 }
 
 #[test]
-fn files_of_nuplan_are_regular() {
+fn nuplan_files_must_be_regular() {
     let made = Made::new();
     let (folder, log) = (made.path(""), format!("nuplan:nuplan-v1.1/splits/mini/{LOG}.db"));
     let commands = [format!("info {log}"), format!("build {log} --out new --missing error")];
@@ -197,7 +197,7 @@ fn files_of_nuplan_are_regular() {
 }
 
 #[test]
-fn files_of_argoverse_are_regular() {
+fn argoverse_files_must_be_regular() {
     let log = TinyAv2::new();
     let commands = [format!("info av2:{LOG_ID}"), format!("build av2:{LOG_ID} --out new --missing error")];
     let commands = commands.each_ref().map(String::as_str);
@@ -216,7 +216,7 @@ fn files_of_argoverse_are_regular() {
 
 /// Files that are named on the command line.
 #[test]
-fn files_of_all_kinds_are_regular() {
+fn all_named_files_must_be_regular() {
     let log = TinyLog::new();
     let folder = log.path("");
     log.succeed(&format!("{BUILD} --voxel 0.5"));

@@ -98,7 +98,7 @@ fn build(folder: &Path, log: &str) {
 }
 
 #[test]
-fn channels_of_nuscenes_are_names_of_folders() {
+fn nuscenes_channels_must_be_folder_names() {
     let log = TinyLog::new();
     let folder = log.path("");
     build(&folder, "nuscenes:log");
@@ -121,7 +121,7 @@ fn channels_of_nuscenes_are_names_of_folders() {
 }
 
 #[test]
-fn channels_of_nuplan_are_names_of_folders() {
+fn nuplan_channels_must_be_folder_names() {
     let made = Made::new();
     let folder = made.path("");
     let log = format!("nuplan:nuplan-v1.1/splits/mini/{LOG}.db");
@@ -145,7 +145,7 @@ fn channels_of_nuplan_are_names_of_folders() {
 }
 
 #[test]
-fn sensors_of_argoverse_are_names_of_folders() {
+fn argoverse_sensors_must_be_folder_names() {
     let log = TinyAv2::new();
     let folder = log.root();
     let name_of_log = format!("av2:{LOG_ID}");
@@ -170,7 +170,7 @@ fn sensors_of_argoverse_are_names_of_folders() {
 }
 
 #[test]
-fn cameras_of_a_list_are_names_of_folders() {
+fn listed_cameras_must_have_folder_names() {
     let log = TinyLog::new();
     let folder = log.path("");
     build(&folder, "nuscenes:log");
@@ -192,7 +192,7 @@ fn cameras_of_a_list_are_names_of_folders() {
 }
 
 #[test]
-fn a_location_is_the_name_of_a_file() {
+fn a_location_must_be_a_file_name() {
     let log = TinyLog::new();
     let folder = log.path("");
     build(&folder, "nuscenes:log");
@@ -213,7 +213,7 @@ fn a_location_is_the_name_of_a_file() {
 
 /// Names in the data cannot control a terminal or flood it.
 #[test]
-fn messages_show_names_as_they_are() {
+fn messages_escape_names() {
     let log = TinyLog::new();
     for name in
         ["\u{1b}]0;owned\u{7}\u{1b}[2J", "a\r\nerror: all is well", "\u{9b}2J", &"long ".repeat(20_000)]

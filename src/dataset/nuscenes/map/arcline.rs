@@ -181,7 +181,7 @@ mod tests {
 
     /// A quarter turn left about (0, 10), 5 m straight in +y, a quarter turn right about (20, 15).
     #[test]
-    fn quarters_and_a_line_end_where_they_should() {
+    fn arcs_and_lines_end_at_the_expected_points() {
         let quarter = 10.0 * PI / 2.0;
         let line = whole(&[path([0.0, 0.0, 0.0], "LSR", 10.0, [quarter, 5.0, quarter])]).unwrap();
         assert!(line[0] == DVec2::ZERO && line.last().unwrap().distance(DVec2::new(20.0, 25.0)) < 1e-12);
@@ -196,7 +196,7 @@ mod tests {
     }
 
     #[test]
-    fn a_line_becomes_as_few_pieces_as_it_can() {
+    fn lines_become_the_fewest_straight_paths() {
         let line: Vec<DVec2> = (0..50).map(|i| DVec2::new(f64::from(i), 0.5)).collect();
         let bent: Vec<DVec2> =
             line.iter().copied().chain((1..5).map(|i| DVec2::new(49.0, 0.5 + f64::from(i)))).collect();
@@ -220,7 +220,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_path_is_told() {
+    fn invalid_paths_are_errors() {
         let wrong = |shape, radius, length| whole(&[path([0.0; 3], shape, radius, length)]).unwrap_err();
         assert_eq!(wrong("LXR", 1.0, [1.0; 3]), "a shape of \"LXR\"");
         assert_eq!(wrong("LSRL", 1.0, [1.0; 3]), "a shape of \"LSRL\"");

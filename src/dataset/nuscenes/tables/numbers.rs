@@ -259,7 +259,7 @@ mod tests {
     }
 
     #[test]
-    fn truth_has_many_spellings() {
+    fn booleans_have_many_spellings() {
         let truth = |text: &str| parsed::<Truth>(text.as_bytes()).map(|truth| truth.0);
         for text in ["true", "1", "1.0", "\"True\"", "\"1\"", "\" yes\"", "\"T\""] {
             assert_eq!(truth(text), Ok(true), "{text}");

@@ -228,7 +228,7 @@ mod tests {
     }
 
     #[test]
-    fn rows_cross_chunks() {
+    fn rows_may_cross_chunks() {
         let row = |i: usize| format!("{{\"{}\": {i}}}", "x".repeat(i * 1000 % 70_001));
         let expected: Vec<String> = (0..200).map(row).collect();
         let text = format!("[{}]", expected.join(",\n"));
@@ -237,7 +237,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_array_of_objects_is_refused() {
+    fn rejects_non_array() {
         for (text, found) in [
             ("", "an empty file"),
             ("{\"a\": 1}\n{\"a\": 2}", "an object instead of an array (JSON lines?"),

@@ -22,7 +22,7 @@ fn refused(case: &Case, name: &str) -> [String; 2] {
 }
 
 #[test]
-fn rejects_key_frames_of_another_clock_than_their_sample() {
+fn rejects_key_frames_with_another_clock_than_their_sample() {
     let Some(case) = Case::new("data/17-lidar-clock") else { return };
     case.succeed("build nuscenes:in/right --out right");
     let report = &case.json("right/skeleton.json");
@@ -71,7 +71,7 @@ fn modern() -> TinyLog {
 }
 
 #[test]
-fn rejects_every_other_clock_of_samples_sweeps_and_images() {
+fn rejects_other_clocks_of_samples_sweeps_and_images() {
     type Change = fn(i64) -> i64;
     let changes: [(&str, &str, Change, &str); 8] = [
         ("sample_data", "LIDAR", |t| t / 1_000_000, "seconds instead of microseconds"),
@@ -164,7 +164,7 @@ fn sweeps_of_another_clock_are_refused_in_nuplan() {
 }
 
 #[test]
-fn key_frames_beside_their_frame_are_noted() {
+fn key_frames_with_another_time_than_their_frame_are_noted() {
     for (kind, offset_us, text) in [
         (
             "LIDAR",
@@ -190,7 +190,7 @@ fn key_frames_beside_their_frame_are_noted() {
 }
 
 #[test]
-fn boxes_of_which_none_has_a_point_are_noted() {
+fn notes_if_no_box_has_a_point() {
     let log = TinyLog::new();
     let note = "boxes of a log of which none has a colored point";
     assert!(!log.succeed("build nuscenes:log --out out/usual").contains(note));
@@ -203,7 +203,7 @@ fn boxes_of_which_none_has_a_point_are_noted() {
 }
 
 #[test]
-fn images_beside_their_ego_pose_are_noted_in_nuplan() {
+fn images_with_another_time_than_their_ego_pose_are_noted_in_nuplan() {
     use point_skeleton::dataset::LogReader;
     let made = Made::new();
     assert!(made.open().unwrap().recording().notes.keys().all(|note| !note.contains("another time")));
@@ -273,7 +273,7 @@ fn sensors_of_another_clock_are_refused_in_argoverse() {
 }
 
 #[test]
-fn distortion_of_rectified_looking_images_is_said_or_applied() {
+fn unused_distortion_coefficients_are_noted_or_applied() {
     let Some(case) = Case::new("data/06-distorted-images") else { return };
     let note =
         "6 cameras with camera_distortion, whose images are read as rectified (--image-distortion apply";
@@ -306,7 +306,7 @@ fn distorted(coefficients: &Value) -> TinyLog {
 }
 
 #[test]
-fn coefficients_of_any_form_are_said_and_applied_only_if_understood() {
+fn coefficients_of_any_form_are_noted_and_applied_only_if_valid() {
     for (coefficients, applies) in [
         (json!([-0.3, 0.1, 0.0, 0.0]), true),
         (json!([-0.3, 0.1, 0.0, 0.0, 0.01]), true),
@@ -336,7 +336,7 @@ fn coefficients_of_any_form_are_said_and_applied_only_if_understood() {
 }
 
 #[test]
-fn data_that_are_marked_as_invalid_are_not_used() {
+fn data_marked_as_invalid_is_not_used() {
     let log = TinyLog::new();
     let table = log.json("log/v1.0-mini/sample_data.json");
     let place = table.as_array().unwrap().iter().position(|r| r["token"] == "d1CAM_BACK").unwrap();

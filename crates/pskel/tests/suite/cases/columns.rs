@@ -11,7 +11,7 @@ use super::Case;
 use crate::tiny_log::RunPskel as _;
 use crate::tiny_log::{FRAMES, TinyLog, sweep};
 use pskel_testing::av2_log::{self, TinyAv2};
-use pskel_testing::nuplan_log::{self, Made, sweep_file};
+use pskel_testing::nuplan_log::{Made, sweep_file};
 use pskel_testing::shared::shared;
 
 /// Builds a log of a case, and returns the content of `skeleton.json`.
@@ -118,7 +118,7 @@ fn options_and_directions_name_merged_lidars() {
 }
 
 #[test]
-fn four_columns_are_read_as_four() {
+fn sweeps_with_four_columns_are_read() {
     let Some(case) = Case::new("data/02-sweeps-of-four-columns") else { return };
     for name in ["a", "b"] {
         let built = build(&case, name, "");
@@ -225,7 +225,7 @@ fn columns_that_are_not_finite_keep_the_points() {
 
 /// The three layouts agree: without recordings.
 #[test]
-fn a_tiny_log_keeps_its_points_without_rings_or_intensities() {
+fn points_are_retained_without_rings_or_intensities() {
     let log = TinyLog::new();
     log.succeed("build nuscenes:log --out out/before");
     let before = points(&log.json("out/before/skeleton.json"));
@@ -323,11 +323,12 @@ fn write_devices(path: &Path, device: impl Fn(usize) -> u8) {
 }
 
 #[test]
-fn device_columns_of_pcd_files_are_believed_unless_they_hold_beams() {
+fn pcd_device_columns_are_used_unless_they_contain_beams() {
     let made = Made::new();
     let check = |device: &dyn Fn(usize) -> u8| {
         // The sweeps of a log are judged together.
-        (0..nuplan_made::FRAMES).for_each(|frame| write_devices(&made.blob(&sweep_file(frame)), device));
+        (0..pskel_testing::nuplan_log::FRAMES)
+            .for_each(|frame| write_devices(&made.blob(&sweep_file(frame)), device));
         let sweep = read(&made).unwrap();
         let rings = sweep.points.iter().map(|p| p.ring).max().unwrap();
         (sweep.devices, rings, sweep.notes.into_keys().collect::<Vec<_>>().join(";"))
@@ -345,7 +346,7 @@ fn device_columns_of_pcd_files_are_believed_unless_they_hold_beams() {
 
 /// A sweep that was written is read again with the same values, with and without a header.
 #[test]
-fn written_sweeps_are_read_as_written() {
+fn written_sweeps_are_read_back() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("a.pcd.bin");
     let point = |k: usize| SweepPoint {

@@ -45,7 +45,7 @@ fn assert_early(log: &TinyLog, output: &Output, parts: &[&str]) {
 }
 
 #[test]
-fn files_that_cannot_be_written_are_refused_before_the_work() {
+fn unwritable_files_are_rejected_before_the_work() {
     let log = built();
     let long = "a".repeat(256);
     for option in ["--mcap", "--profile"] {
@@ -82,7 +82,7 @@ fn files_that_cannot_be_written_are_refused_before_the_work() {
 }
 
 #[test]
-fn copies_and_rollouts_are_not_in_each_other() {
+fn rejects_copies_and_rollouts_inside_each_other() {
     let log = built();
     for (out, copy, found) in [
         ("rollout", "rollout", "the same"),
@@ -103,7 +103,7 @@ fn copies_and_rollouts_are_not_in_each_other() {
 }
 
 #[test]
-fn scores_are_printed_even_if_their_file_cannot_be_written() {
+fn scores_are_printed_if_their_file_cannot_be_written() {
     let log = built();
     let output = log.run(&format!("{GENERATE} --out rollout"));
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));

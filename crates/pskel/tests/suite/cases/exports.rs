@@ -11,7 +11,7 @@ use crate::tiny_log::RunPskel as _;
 use crate::tiny_log::{FIRST_US, STEP_US, TinyLog, assert_failed, tree};
 
 #[test]
-fn exports_replace_no_foreign_files() {
+fn exports_do_not_replace_foreign_files() {
     for (layout, file) in [
         ("webdataset", "tiny-000000.tar"),
         ("mcap", "tiny-000000.mcap"),
@@ -108,7 +108,7 @@ fn exports_of_other_frames_or_shards_are_refused() {
 /// Another recording with the same name: other poses, boxes, cameras, categories, times, or points. Stated
 /// numbers of points are not part of a recording.
 #[test]
-fn shards_and_skeletons_of_another_recording_are_not_taken() {
+fn rejects_shards_and_skeletons_of_another_recording() {
     let changes: [(&str, &str, Value); 7] = [
         ("ego_pose", "/1/translation/0", json!(664_002.5)),
         ("sample", "/1/timestamp", json!(FIRST_US + STEP_US + 1000)),
@@ -162,7 +162,7 @@ fn shards_and_skeletons_of_another_recording_are_not_taken() {
 }
 
 #[test]
-fn records_of_strangers_neither_hang_nor_count() {
+fn malformed_records_neither_hang_nor_count() {
     let log = TinyLog::new();
     let export = format!("{EXPORT} --layout webdataset");
     log.succeed(&export);

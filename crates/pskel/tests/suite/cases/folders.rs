@@ -213,7 +213,7 @@ fn mount_points_are_filled() {
 
 /// A folder that is bound to another one of the same file system, below a folder that is read-only.
 #[test]
-fn volumes_of_read_only_containers_are_filled() {
+fn volumes_in_read_only_containers_are_filled() {
     let log = ready();
     let files = expected(&log, BUILD);
     let build = BUILD.replace("--out out", "--out root/out");
@@ -263,7 +263,7 @@ fn foreign_files_in_a_mount_point_stay() {
 
 /// A list with paths outside of its folder, which is replaced file by file.
 #[test]
-fn lists_of_a_mount_point_lead_nowhere_else() {
+fn lists_of_a_mount_point_stay_inside_it() {
     let log = ready();
     let script = format!(
         "mkdir out; mount -t tmpfs tmpfs out; $PSKEL {BUILD}; echo mine > victim; echo ../victim >> \
@@ -279,7 +279,7 @@ fn lists_of_a_mount_point_lead_nowhere_else() {
 
 /// A folder of an export that is a volume of its own.
 #[test]
-fn shards_reach_into_mount_points() {
+fn shards_are_written_into_mount_points() {
     let log = ready();
     let args =
         "export nuscenes:log --skeletons sks --out out --out-size 32x48 --rasterizer cpu --layout pas-cache";

@@ -7,7 +7,6 @@ use serde_json::Value;
 
 use super::Case;
 use crate::guarded;
-use crate::tiny_log::RunPskel as _;
 use crate::tiny_log::{CAMERAS, TinyLog, picture, sweep};
 use pskel_testing::av2_log::{self, TinyAv2};
 use pskel_testing::nuplan_log::{Made, RING, image_file};
@@ -76,7 +75,7 @@ fn missing_files_are_skipped_and_counted_in_nuscenes() {
 
 /// A download without the blobs of sweeps between key frames, or of all cameras.
 #[test]
-fn parts_of_a_download_can_be_missing() {
+fn parts_of_a_download_may_be_missing() {
     let Some(shared) = shared("the recording") else { return };
     let source = shared.join("data/pandaset-002/nuscenes");
     let folder = tempfile::tempdir().unwrap();
@@ -222,7 +221,7 @@ fn maps_that_are_not_drawn_are_not_read() {
 }
 
 #[test]
-fn layers_that_a_map_lacks_are_counted() {
+fn missing_map_layers_are_counted() {
     let made = Made::new();
     made.map_sql(
         "DROP TABLE carpark_areas; DELETE FROM gpkg_geometry_columns WHERE table_name = 'carpark_areas';",
@@ -289,7 +288,7 @@ fn case_argoverse_without_annotations() {
 }
 
 #[test]
-fn case_map_not_asked_for() {
+fn case_map_not_requested() {
     let Some(case) = Case::new("data/09-map-not-asked-for") else { return };
     let few = "--maps color,depth --frames 0..1 --out-size 56x100 --rasterizer cpu";
     for variant in ["layer-missing", "not-downloaded", "cut-off"] {

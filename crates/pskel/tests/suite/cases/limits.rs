@@ -79,7 +79,7 @@ fn log_with_skeleton() -> TinyLog {
 
 /// The command takes 2 threads beside the pool, with the writer 3; the driver 6.
 #[test]
-fn few_processes_are_refused_in_one_line() {
+fn a_process_limit_is_reported_in_one_line() {
     let log = log_with_skeleton();
     for (kind, runs_from) in [("cpu", 5), ("auto", 5), ("compute", 11), ("graphics", 11)] {
         for processes in [1, 3, 4, 5, 6, 8, 10, 14] {
@@ -109,7 +109,7 @@ fn few_processes_are_refused_in_one_line() {
 
 /// `ulimit -u` counts all processes of a user, so another user is needed; root is not limited.
 #[test]
-fn few_processes_of_a_user_are_refused_in_one_line() {
+fn a_user_process_limit_is_reported_in_one_line() {
     let log = log_with_skeleton();
     for folder in ["", "out"] {
         let everyone = std::os::unix::fs::PermissionsExt::from_mode(0o777);
@@ -136,7 +136,7 @@ fn few_processes_of_a_user_are_refused_in_one_line() {
 /// A run that can open few files ends with an error, and leaves nothing that later runs take for a foreign
 /// folder.
 #[test]
-fn few_open_files_do_not_spoil_an_output() {
+fn a_limit_on_open_files_leaves_the_output_usable() {
     let log = log_with_skeleton();
     let args = format!("simulate {LOG} --skeleton sk --out out --maps depth --rasterizer cpu --steps 1");
     for limit in 5..16 {
@@ -162,7 +162,7 @@ fn write_cameras(log: &TinyLog, count: usize, side: u32) {
 }
 
 #[test]
-fn camera_lists_that_need_terabytes_are_refused_with_the_number() {
+fn rejects_camera_lists_that_need_terabytes() {
     let log = log_with_skeleton();
     std::fs::write(
         log.path("points.ply"),
@@ -196,7 +196,7 @@ fn camera_lists_that_need_terabytes_are_refused_with_the_number() {
 }
 
 #[test]
-fn sizes_in_tables_are_refused_with_the_number() {
+fn rejects_huge_sizes_in_tables() {
     let log = log_with_skeleton();
     for record in 0..3 * 3 {
         for side in ["width", "height"] {
@@ -253,7 +253,7 @@ fn png_header(side: u32) -> Vec<u8> {
 }
 
 #[test]
-fn recipes_of_huge_images_are_refused_with_the_number() {
+fn rejects_recipes_of_huge_images() {
     let log = log_with_skeleton();
     for (recipe, needs) in [
         (

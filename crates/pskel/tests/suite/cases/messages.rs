@@ -24,7 +24,7 @@ fn info(log: &TinyLog) -> (i32, String) {
 }
 
 #[test]
-fn numbers_that_json_lacks_are_named_where_they_are_read() {
+fn non_json_numbers_are_named_where_they_are_read() {
     let Some(case) = Case::new("data/08-nan-in-unread-field") else { return };
     case.succeed("info nuscenes:in/unread");
     let text = std::fs::read_to_string(case.path().join("in/read/v1.0-mini/sample_annotation.json")).unwrap();
@@ -143,7 +143,7 @@ fn undownloaded_files_are_named_in_every_reader() {
 }
 
 #[test]
-fn files_that_are_cut_off_are_named() {
+fn truncated_files_are_named() {
     let log = TinyLog::new();
     let (image, mut jpeg) = (image::RgbImage::new(WIDTH, HEIGHT), std::io::Cursor::new(Vec::new()));
     image.write_to(&mut jpeg, image::ImageFormat::Jpeg).unwrap();
@@ -230,7 +230,7 @@ fn names_of_windows_cannot_leave_the_folder() {
 }
 
 #[test]
-fn map_records_without_a_shape_do_not_cost_the_map() {
+fn map_records_without_a_shape_do_not_invalidate_the_map() {
     let Some(case) = Case::new("data/16-degenerate-map-record") else { return };
     for (name, note, counts) in [
         ("no-corners", "map: stop lines without an area (skipped)", [8, 5, 2, 0]),
@@ -298,7 +298,7 @@ fn drivers_of_the_environment_are_named() {
 }
 
 #[test]
-fn sizes_and_focal_lengths_are_blamed_on_their_record() {
+fn invalid_sizes_and_focal_lengths_name_their_record() {
     let log = TinyLog::new();
     log.change("sample_data", "/1/width", json!(20_000));
     let (code, text) = info(&log);
@@ -314,7 +314,7 @@ fn sizes_and_focal_lengths_are_blamed_on_their_record() {
 }
 
 #[test]
-fn scenes_of_one_name_are_told_apart_by_their_tokens() {
+fn scenes_with_the_same_name_are_selected_by_token() {
     let log = TinyLog::new();
     let mut scenes = log.json("log/v1.0-mini/scene.json");
     let mut other = scenes[0].clone();

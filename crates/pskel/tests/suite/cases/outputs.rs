@@ -39,7 +39,7 @@ pub(super) fn assert_refused(log: &TinyLog, args: &str, part: &str) {
 }
 
 #[test]
-fn single_files_replace_nothing_in_input_folders() {
+fn single_files_do_not_replace_files_in_input_folders() {
     let log = ready();
     let generator = "--generator fill --recipe recipe.json --window 2";
     let simulate = "simulate nuscenes:log --skeleton sk --templates templates --steps 1 --dry --out new \
@@ -111,7 +111,7 @@ fn single_files_replace_nothing_in_input_folders() {
 }
 
 #[test]
-fn scores_replace_no_file_of_a_rollout() {
+fn scores_do_not_replace_rollout_files() {
     let log = ready();
     let generate = "generate nuscenes:log --skeleton sk --out rollout --every 1 --generator fill --window 2 \
         --maps color,depth,class --rasterizer cpu";
@@ -137,7 +137,7 @@ fn scores_replace_no_file_of_a_rollout() {
 }
 
 #[test]
-fn links_and_foreign_work_folders_are_left_alone() {
+fn links_and_foreign_work_folders_are_not_touched() {
     let log = ready();
     let put = |name: &str| {
         std::fs::create_dir_all(log.path(name).parent().unwrap()).unwrap();
@@ -189,7 +189,7 @@ fn rollouts_are_not_resumed_through_links() {
 }
 
 #[test]
-fn output_folders_are_no_part_of_an_input() {
+fn output_folders_must_be_outside_inputs() {
     let log = ready();
     std::fs::create_dir(log.path("sks")).unwrap();
     let train = "train nuscenes:log --steps 1 --batch 1";
@@ -237,7 +237,7 @@ fn output_folders_are_no_part_of_an_input() {
 
 /// Sensor data may be in another folder than the tables.
 #[test]
-fn rollouts_are_no_part_of_the_sensor_data() {
+fn rollouts_must_be_outside_the_sensor_data() {
     let log = ready();
     std::fs::create_dir(log.path("s")).unwrap();
     std::fs::rename(log.path("log/samples"), log.path("s/samples")).unwrap();
@@ -249,7 +249,7 @@ fn rollouts_are_no_part_of_the_sensor_data() {
 
 /// Arrays of NumPy have other shapes, and its archives another header.
 #[test]
-fn arrays_of_others_are_kept() {
+fn foreign_arrays_are_not_replaced() {
     let log = ready();
     let header = "{'descr': '<f4', 'fortran_order': False, 'shape': (9, 512), }";
     let array = format!("{header:117}\n");
@@ -268,7 +268,7 @@ fn arrays_of_others_are_kept() {
 
 /// A town has a list of its files, which its copy must not share.
 #[test]
-fn copies_leave_their_data_set_alone() {
+fn copies_do_not_change_their_data_set() {
     let log = TinyLog::new();
     log.succeed("town --seed 5 --frames 3 --size 57x100 --out town");
     log.succeed("build nuscenes:town --out sk");
@@ -292,7 +292,7 @@ fn copies_leave_their_data_set_alone() {
 
 /// Checks that are made before the work: no step is generated, no skeleton is built.
 #[test]
-fn refusals_come_before_the_work() {
+fn invalid_options_are_rejected_before_the_work() {
     let log = ready();
     let generate = "generate nuscenes:log --skeleton sk --out rollout --every 1 --generator fill --window 2 \
         --maps color --rasterizer cpu";

@@ -105,7 +105,7 @@ const MUNICH: [f64; 3] = [691_603.25, 5_335_787.75, 520.5];
 const BERLIN: [f64; 3] = [391_780.5, 5_820_070.25, 34.0];
 
 #[test]
-fn one_invalid_point_does_not_change_the_maps_of_the_others() {
+fn an_invalid_point_does_not_change_the_maps() {
     let Some(case) = Case::of_files("ecosystem/01-first-point-far-away") else { return };
     let (plain, notes) = case.splat("plain.npy");
     assert_eq!(notes, "");
@@ -118,7 +118,7 @@ fn one_invalid_point_does_not_change_the_maps_of_the_others() {
 }
 
 #[test]
-fn invalid_points_of_all_kinds_keep_the_precision_of_the_others() {
+fn invalid_points_do_not_reduce_precision() {
     let case = Case::empty();
     case.write_camera(MUNICH);
     let rows = scene(MUNICH);
@@ -151,7 +151,7 @@ fn invalid_points_of_all_kinds_keep_the_precision_of_the_others() {
 }
 
 #[test]
-fn the_origin_of_a_file_is_of_no_other() {
+fn an_origin_applies_only_to_its_file() {
     let case = Case::empty();
     let origin = |name: &str| case.json(name)["origin"][0].as_f64().unwrap();
     case.write_npy("munich.npy", &scene(MUNICH));
@@ -171,7 +171,7 @@ fn the_origin_of_a_file_is_of_no_other() {
 }
 
 #[test]
-fn converted_points_keep_millimeters_beside_an_invalid_one() {
+fn converting_beside_an_invalid_point_retains_millimeters() {
     let case = Case::empty();
     let rows = [vec![[0.0; 6]], scene(MUNICH)].concat();
     case.write_npy("p.npy", &rows);
@@ -188,7 +188,7 @@ fn converted_points_keep_millimeters_beside_an_invalid_one() {
 }
 
 #[test]
-fn notes_coordinates_that_single_precision_rounds() {
+fn coordinates_rounded_to_single_precision_are_noted() {
     let case = Case::empty();
     case.write_camera(MUNICH);
     let points: Vec<Point> = scene(MUNICH)
@@ -205,7 +205,7 @@ fn notes_coordinates_that_single_precision_rounds() {
 }
 
 #[test]
-fn ply_colors_from_0_to_1_are_those_of_0_to_255() {
+fn ply_colors_from_0_to_1_equal_0_to_255() {
     let Some(case) = Case::of_files("ecosystem/02-ply-colors-from-0-to-1") else { return };
     let (levels, notes) = case.splat("uchar_bin.ply");
     assert_eq!(notes, "");
@@ -302,7 +302,7 @@ fn packed_colors_are_found_in_binary_doubles() {
 }
 
 #[test]
-fn words_that_are_not_finite_are_read_in_text_ply() {
+fn non_finite_words_are_read_in_text_ply() {
     let Some(case) = Case::of_files("ecosystem/07-nan-in-ascii-ply") else { return };
     let (binary, _) = case.splat("binary.ply");
     assert_eq!(binary.depth.iter().filter(|depth| **depth == 5.0).count(), 1);
@@ -339,7 +339,7 @@ fn words_that_are_not_finite_are_read_in_text_ply() {
 }
 
 #[test]
-fn boxes_of_impossible_size_are_refused_by_their_record() {
+fn impossible_box_sizes_name_their_record() {
     let log = TinyLog::new();
     log.change("sample_annotation", "/0/size/1", json!(1e308));
     for args in ["build nuscenes:log --out sk --templates", "build nuscenes:log --out sk"] {

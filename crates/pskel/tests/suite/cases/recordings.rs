@@ -52,7 +52,7 @@ fn rollouts_of_other_cameras_or_templates_are_not_continued() {
 }
 
 #[test]
-fn shards_with_other_templates_are_not_taken() {
+fn rejects_shards_with_other_templates() {
     let log = built();
     write_templates(&log, 0);
     let export = format!("{EXPORT} --templates templates");
@@ -69,7 +69,7 @@ fn shards_with_other_templates_are_not_taken() {
 }
 
 #[test]
-fn protocols_retain_rollouts_of_the_same_recording_alone() {
+fn protocols_retain_only_rollouts_of_the_same_recording() {
     let log = built();
     let protocol = "protocol lane-change nuscenes:log --skeletons sks --out p --rasterizer cpu --maps color \
         --parts replay \
@@ -86,7 +86,7 @@ fn protocols_retain_rollouts_of_the_same_recording_alone() {
 }
 
 #[test]
-fn protocols_retain_rollouts_with_the_same_captions_alone() {
+fn protocols_retain_only_rollouts_with_the_same_captions() {
     let log = built();
     let protocol = "protocol lane-change nuscenes:log --skeletons sks --out p --rasterizer cpu --maps color \
         --parts replay \
@@ -103,7 +103,7 @@ fn protocols_retain_rollouts_with_the_same_captions_alone() {
 }
 
 #[test]
-fn drives_are_of_the_recording() {
+fn training_clips_must_match_the_recording() {
     let log = TinyLog::new();
     let net = r#"{"recipe": {"drawn": "32x64", "size": "16x32"}, "frames": 2, "channels": [16, 16, 16, 16],
         "width": 32, "head": 16, "hidden": 32, "blocks": ["s", "t"]}"#;
@@ -127,7 +127,7 @@ fn drives_are_of_the_recording() {
 }
 
 #[test]
-fn a_lost_first_pose_is_told_and_moves_no_origin() {
+fn a_lost_first_pose_is_noted_and_does_not_move_the_origin() {
     for frame in [0, 2] {
         let log = TinyLog::new();
         log.change("ego_pose", &format!("/{frame}/translation"), json!([0, 0, 0]));

@@ -26,7 +26,7 @@ fn record_with<'a>(records: &'a mut [Value], field: &str, value: &str) -> &'a mu
 }
 
 #[test]
-fn missing_rows_of_nuscenes_cost_what_refers_to_them() {
+fn missing_rows_of_nuscenes_skip_their_dependents() {
     // All data of the last sample share an ego pose.
     for (table, kind, frames) in [
         ("ego_pose", DATA, FRAMES - 1),
@@ -47,7 +47,7 @@ fn missing_rows_of_nuscenes_cost_what_refers_to_them() {
 }
 
 #[test]
-fn missing_rows_of_nuplan_cost_what_refers_to_them() {
+fn missing_rows_of_nuplan_skip_their_dependents() {
     let one = |table: &str, column: &str, of: &str| {
         format!("DELETE FROM {table} WHERE token = (SELECT {column} FROM {of} ORDER BY rowid LIMIT 1);")
     };
@@ -79,7 +79,7 @@ fn missing_rows_of_nuplan_cost_what_refers_to_them() {
 }
 
 #[test]
-fn missing_rows_of_argoverse_cost_what_refers_to_them() {
+fn missing_rows_of_argoverse_skip_their_dependents() {
     let poses = "city_SE3_egovehicle.feather";
     let extrinsics = "calibration/egovehicle_SE3_sensor.feather";
     for (table, rows, kind, named) in [
@@ -127,7 +127,7 @@ fn an_empty_table_of_boxes_is_a_log_without_annotations() {
 
 /// Coefficients of the lens under other names, in the calibration or in the sensor.
 #[test]
-fn distortion_under_other_names_is_said_and_applied() {
+fn distortion_under_other_names_is_noted_and_applied() {
     let coefficients = json!([-0.3, 0.1, 0.0, 0.0, 0.01]);
     for table in ["calibrated_sensor", "sensor"] {
         for key in
@@ -186,7 +186,7 @@ fn marks_of_invalid_data_have_many_spellings() {
 
 /// Writers without booleans, with times as text, with nulls for empty references, and sensors in capitals.
 #[test]
-fn other_spellings_of_values_are_the_same_log() {
+fn other_spellings_of_values_yield_the_same_log() {
     type Edit = fn(&TinyLog);
     let whole = info(&TinyLog::new().path(""), "nuscenes:log").0;
     let edits: [Edit; 6] = [

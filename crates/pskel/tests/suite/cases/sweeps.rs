@@ -103,7 +103,7 @@ fn flags_of_one_lidar_keep_all_points_and_are_noted() {
 
 /// One decision for the sweeps of a log, which a build tells too.
 #[test]
-fn merged_lidars_are_decided_once_per_log() {
+fn merged_lidars_are_detected_once_per_log() {
     let Some(sweeps) = Sweeps::new(2) else { return };
     sweeps.write(|rows| bytes(rows.iter().flatten().copied()));
     // Few points of the second LiDAR say nothing on their own.
@@ -218,7 +218,7 @@ fn headers_without_points_are_damaged_files() {
 
 /// Only coordinates are needed, and a row without them is not a point.
 #[test]
-fn argoverse_sweeps_need_coordinates_alone() {
+fn argoverse_sweeps_need_only_coordinates() {
     use arrow_array::Float32Array;
     let log = TinyAv2::new();
     let dataset = log.open().unwrap();

@@ -23,7 +23,7 @@ fn note(log: &Recording, kind: &str) -> usize {
 }
 
 #[test]
-fn plain_categories_have_the_classes_of_dotted_ones() {
+fn plain_categories_have_the_same_classes_as_dotted_ones() {
     let Some(case) = Case::new("data/05-plain-categories") else { return };
     let [plain, dotted] = ["in/plain", "in/dotted"].map(|name| recording(&case.path().join(name)));
     let classes = |log: &Recording| log.tracks.iter().map(|track| track.class).collect::<Vec<_>>();
@@ -36,7 +36,7 @@ fn plain_categories_have_the_classes_of_dotted_ones() {
 
 /// Maps follow the words, whatever their case and separators.
 #[test]
-fn maps_of_plain_words_equal_those_of_dotted_ones() {
+fn plain_and_dotted_categories_give_equal_maps() {
     let rendered = |words: [&str; 2]| {
         let log = TinyLog::new();
         let names = log.json("log/v1.0-mini/category.json");
@@ -108,7 +108,7 @@ fn numbers_of_table_tools_are_read() {
 
 /// Each of these values occurs in data sets of converters.
 #[test]
-fn counts_that_are_only_reported_decide_nothing() {
+fn reported_counts_do_not_affect_the_result() {
     let path = "/0/num_lidar_pts";
     for value in [json!(-1), json!(2.5), json!(1e300), json!("many"), json!([]), json!(null), json!("7")] {
         let log = TinyLog::new();

@@ -13,7 +13,7 @@ use crate::simulate::built;
 
 /// The ego drives at 2 m/s; presets have at least 3 m/s and accelerate.
 #[test]
-fn forecasts_go_on_after_the_end_of_the_log() {
+fn forecasts_continue_after_the_end_of_the_log() {
     let folder = built();
     let dataset =
         NuScenes::open(&LogLocator::new(&point_skeleton::dataset::nuscenes::FORMAT, folder.path("log")))

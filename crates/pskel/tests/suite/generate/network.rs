@@ -109,7 +109,7 @@ fn network(drives: &[TrainingClip]) -> Network {
 
 /// Latents are the mean colors of 4x4 pixels, normalized.
 #[test]
-fn latents_of_the_drives_have_unit_variance() {
+fn latents_of_the_clips_have_unit_variance() {
     let drives = [made(1, 5), made(2, 4)];
     let statistics = measure(&config(), &drives).unwrap();
     let codec = network(&drives);
@@ -181,7 +181,7 @@ const OUT: &str = "PSKEL_TEST_TRAINED";
 
 /// The tensor library reads its number of threads from the environment, so each run needs its own process.
 #[test]
-fn training_is_the_same_for_one_thread_and_two_and_when_resumed() {
+fn training_is_reproducible_for_any_threads_and_when_resumed() {
     // A rig of another number of cameras is drawn as often.
     let drives = [made(1, 5), made_for(&config(), 3, 2, 6)];
     let begin = || Trainer::new(train_options(), config(), &drives, vec![1.0, 1.0]).unwrap();
@@ -193,7 +193,7 @@ fn training_is_the_same_for_one_thread_and_two_and_when_resumed() {
     let folder = tempfile::tempdir().unwrap();
     let path = |name: &str| folder.path().join(name);
     for threads in ["1", "2"] {
-        let test = "generate::network::training_is_the_same_for_one_thread_and_two_and_when_resumed";
+        let test = "generate::network::training_is_reproducible_for_any_threads_and_when_resumed";
         let mut command = Command::new(std::env::current_exe().unwrap());
         command.args([test, "--exact"]).env("RAYON_NUM_THREADS", threads).env(OUT, path(threads));
         let output = command.output().unwrap();
@@ -225,7 +225,7 @@ fn training_is_the_same_for_one_thread_and_two_and_when_resumed() {
 
 /// The network memorizes one window.
 #[test]
-fn a_small_network_overfits_a_drive() {
+fn a_small_network_overfits_a_clip() {
     let drives = [made(1, 4)];
     let options = TrainOptions {
         steps: 150,
@@ -247,7 +247,7 @@ fn a_small_network_overfits_a_drive() {
 }
 
 #[test]
-fn a_training_that_leaves_the_numbers_is_stopped() {
+fn a_diverging_training_is_stopped() {
     let drives = [made(1, 4)];
     let options = TrainOptions { learning_rate: 1e30, warmup: 0, ..train_options() };
     let mut trainer = Trainer::new(options, config(), &drives, vec![1.0]).unwrap();
@@ -311,7 +311,7 @@ fn noises(network: &Network, seed: u64) -> Vec<Latent> {
 }
 
 #[test]
-fn conditions_and_their_lack_change_what_is_predicted() {
+fn conditions_change_the_prediction() {
     let drives = [made(1, 5)];
     let mut network = network(&drives);
     let conditions = conditions(&drives[0]);
@@ -346,7 +346,7 @@ fn conditions_and_their_lack_change_what_is_predicted() {
 }
 
 #[test]
-fn weights_are_read_as_they_were_written_or_refused() {
+fn weights_are_read_back_or_rejected() {
     let drives = [made(1, 5)];
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("weights.safetensors");
@@ -403,7 +403,7 @@ fn weights_are_read_as_they_were_written_or_refused() {
 
 /// The shipped weights state their origin, and the log of their training is stored beside them.
 #[test]
-fn shipped_weights_are_of_the_default_network_and_its_training() {
+fn shipped_weights_match_the_default_network_and_training() {
     let weights = Weights::shipped().unwrap();
     assert_eq!(weights.config, NetworkConfig::default());
     let log = include_str!("../../../../network/shipped/loss.csv");
@@ -416,12 +416,12 @@ fn shipped_weights_are_of_the_default_network_and_its_training() {
 }
 
 #[test]
-fn the_cache_of_the_network_has_seen_no_forecast() {
+fn the_networks_cache_is_independent_of_forecasts() {
     the_cache_has_seen_no_forecast(&weights(&[made(1, 8)]));
 }
 
 #[test]
-fn the_cache_of_the_shipped_network_has_seen_no_forecast() {
+fn the_shipped_networks_cache_is_independent_of_forecasts() {
     the_cache_has_seen_no_forecast(&Weights::shipped().unwrap());
 }
 

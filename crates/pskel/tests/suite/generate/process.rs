@@ -205,7 +205,7 @@ fn tensor(message: &SafeTensors<'_>, name: &str) -> (Vec<usize>, Vec<f32>) {
 }
 
 #[test]
-fn denoisers_see_what_is_promised() {
+fn denoisers_receive_the_documented_messages() {
     let folder = tempfile::tempdir().unwrap();
     let seen = |name: &str| std::fs::read(folder.path().join(name)).unwrap();
     let lines = format!(
@@ -266,7 +266,7 @@ fn denoisers_see_what_is_promised() {
 
 /// A process that says so gets one call for both halves, another one two.
 #[test]
-fn guidance_takes_one_call_of_a_process_that_predicts_both_halves() {
+fn guidance_takes_one_call_if_the_process_predicts_both_halves() {
     let folder = tempfile::tempdir().unwrap();
     let filled = |value: &str| format!("('F32', SHAPE, array.array('f', [{value}] * 144).tobytes())");
     let both = format!(
@@ -307,7 +307,7 @@ fn guidance_takes_one_call_of_a_process_that_predicts_both_halves() {
 
 /// Eighths up to 18 are exact in all of these types.
 #[test]
-fn halves_are_the_numbers_that_they_stand_for() {
+fn half_precision_numbers_are_decoded() {
     let folder = tempfile::tempdir().unwrap();
     for (dtype, pack) in [
         ("F32", "struct.pack('<f', x)"),

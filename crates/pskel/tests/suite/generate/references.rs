@@ -44,7 +44,7 @@ fn told(strategy: Strategy) -> [Vec<String>; 2] {
 
 /// A window of four frames, eight inference steps, two calls a roll.
 #[test]
-fn references_are_the_frames_that_a_call_does_not_change() {
+fn references_are_the_unchanged_frames_of_a_call() {
     let twice =
         |flags: &[&str]| flags.iter().flat_map(|flags| [(*flags).to_owned(), (*flags).to_owned()]).collect();
     let [first, second] = told(Strategy::ResetAndRoll);

@@ -32,7 +32,7 @@ fn place(actor: &SimActor) -> DVec2 {
 }
 
 #[test]
-fn the_driver_model_is_nuplans() {
+fn the_driver_model_matches_nuplan() {
     let Some(folder) = fixtures("the runs of nuPlan's driver model") else { return };
     let file: Value = serde_json::from_slice(&std::fs::read(folder.join("sim/idm.json")).unwrap()).unwrap();
     let number = |value: &Value| value.as_f64().unwrap();
@@ -100,7 +100,7 @@ fn vehicles_leave_the_log_and_others_do_not() {
 }
 
 #[test]
-fn a_follower_keeps_off_an_ego_that_stops() {
+fn a_follower_stops_behind_a_stopping_ego() {
     // The ego brakes in its own log at 2 m/s² from 1 s to 5 s, as hard as an IDM follower can; "brief" drives
     // behind it from 2 s on.
     let mut log = made::log(12);
@@ -132,7 +132,7 @@ fn a_follower_keeps_off_an_ego_that_stops() {
 }
 
 #[test]
-fn who_is_far_follows_the_log_or_is_gone() {
+fn distant_actors_follow_the_log_or_are_removed() {
     let log = made::log(20);
     // The ego turns away and leaves the vicinity of the lead car.
     let away = LocalPath::new(vec![[0.0, 0.0], [0.0, 900.0]]).unwrap();
@@ -161,7 +161,7 @@ fn who_is_far_follows_the_log_or_is_gone() {
 }
 
 #[test]
-fn the_order_of_tracks_counts_for_nothing() {
+fn track_order_does_not_affect_the_result() {
     let log = made::log(6);
     // The same log with its tracks in reverse order.
     let flip = |i: usize| made::TRACKS.len() - 1 - i;

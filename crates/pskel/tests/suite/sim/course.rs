@@ -95,7 +95,7 @@ fn a_real_lane_change_reaches_its_lane_in_comfort() {
 }
 
 #[test]
-fn a_lane_change_goes_on_beyond_the_log() {
+fn a_lane_change_continues_after_the_log() {
     let log = made::log(3);
     let options = SimOptions { steps: 120, ego: EgoPolicy::LaneChange, ..SimOptions::default() };
     let mut sim = made::start(&log, &options);
@@ -111,7 +111,7 @@ fn a_lane_change_goes_on_beyond_the_log() {
 }
 
 #[test]
-fn an_ego_that_stands_starts_a_lane_change_smoothly() {
+fn a_stationary_ego_starts_a_lane_change_smoothly() {
     let mut log = made::log(12);
     let pose = log.frames[0].global_from_ego;
     log.frames.iter_mut().for_each(|f| f.global_from_ego = pose);
@@ -124,7 +124,7 @@ fn an_ego_that_stands_starts_a_lane_change_smoothly() {
 }
 
 #[test]
-fn forecasts_of_a_course_come_true_and_change_nothing() {
+fn forecasts_of_a_course_match_and_have_no_side_effects() {
     let log = made::log(12);
     let options =
         SimOptions { steps: 60, warmup_frames: 3, ego: EgoPolicy::LaneChange, ..SimOptions::default() };
@@ -151,7 +151,7 @@ fn forecasts_of_a_course_come_true_and_change_nothing() {
 }
 
 #[test]
-fn the_warm_up_is_the_log() {
+fn the_warm_up_follows_the_log() {
     let log = made::log(6);
     for ego in [EgoPolicy::Straight, EgoPolicy::LaneChange, EgoPolicy::RightThenBack, EgoPolicy::Cosine] {
         let options = SimOptions { steps: 30, warmup_frames: 6, ego, ..SimOptions::default() };
@@ -166,7 +166,7 @@ fn the_warm_up_is_the_log() {
 }
 
 #[test]
-fn straight_on_is_straight_on() {
+fn straight_policy_drives_straight() {
     let log = made::log(1);
     let options = SimOptions { steps: 50, ego: EgoPolicy::Straight, ..SimOptions::default() };
     let instants = all(&mut made::start(&log, &options));
@@ -181,7 +181,7 @@ fn straight_on_is_straight_on() {
 }
 
 #[test]
-fn a_path_that_is_placed_at_each_plan_goes_on() {
+fn a_path_relative_to_each_plan_continues() {
     let log = made::log(2);
     // A quarter circle, from each pose on: the ego turns on a whole circle.
     let points = (0..=900)
@@ -202,7 +202,7 @@ fn a_path_that_is_placed_at_each_plan_goes_on() {
 }
 
 #[test]
-fn points_of_a_file_are_driven_along() {
+fn follows_the_points_of_a_file() {
     let log = made::log(2);
     // A quarter circle to the left with a radius of 20 m; then the ego drives on.
     let points =

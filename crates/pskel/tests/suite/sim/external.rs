@@ -147,7 +147,7 @@ fn seen(folder: &Path) -> Vec<serde_json::Value> {
 }
 
 #[test]
-fn planners_see_what_is_promised() {
+fn planners_receive_the_documented_messages() {
     let log = made::log(6);
     let folder = tempfile::tempdir().unwrap();
     let options = SimOptions { steps: 8, seed: 77, ..options(recorder(folder.path()), 20.0) };
@@ -182,7 +182,7 @@ fn planners_see_what_is_promised() {
 /// States of the last 2 s come with the first observation, of the log before the start; then those since the
 /// last one.
 #[test]
-fn planners_see_the_past_once() {
+fn planners_receive_the_past_once() {
     let log = made::log(6);
     let folder = tempfile::tempdir().unwrap();
     let start_us = made::FIRST_US + 1_800_000;
@@ -240,7 +240,7 @@ fn planners_see_the_past_once() {
 
 /// Velocities belong to the synthetic actors, also to one that comes towards the ego on a curve.
 #[test]
-fn planners_see_velocities() {
+fn planners_receive_velocities() {
     let log = made::log(6);
     let folder = tempfile::tempdir().unwrap();
     // At 1.4 s the log surrounds the 0.6 s window for fitting lines.
@@ -267,7 +267,7 @@ fn planners_see_velocities() {
 
 /// The route of the first plan comes with the hello; other logs have none.
 #[test]
-fn planners_see_route_and_map() {
+fn planners_receive_route_and_map() {
     let plain = made::log(2);
     let goal = Pose::from_yaw(0.5, glam::DVec3::new(1.0, 2.0, 3.0));
     let route = |frame: usize, id: &str, goal| NavigationRoute { frame, roadblocks: vec![id.into()], goal };
@@ -296,7 +296,7 @@ fn planners_see_route_and_map() {
 
 /// The path that a planner sees continues in driving order, also where it crosses itself.
 #[test]
-fn paths_that_cross_themselves_are_told_in_their_order() {
+fn self_crossing_paths_are_sent_in_order() {
     // East, around to the left, and south, crossing its own path at 20 m.
     let corners = [(0.0, 0.0), (40.0, 0.0), (40.0, 20.0), (20.0, 20.0), (20.0, -20.0)].map(DVec2::from);
     let line = Polyline::new(corners).unwrap();

@@ -24,7 +24,7 @@ fn npy<T: npyz::AutoSerialize + Copy>(order: npyz::Order, shape: &[u64], numbers
 }
 
 #[test]
-fn all_forms_are_read() {
+fn reads_all_forms() {
     let folder = tempfile::tempdir().unwrap();
     let flat: Vec<f64> = POINTS.as_flattened().to_vec();
     let columns: Vec<f64> = [0, 1].iter().flat_map(|i| POINTS.map(|p| p[*i])).collect();
@@ -47,7 +47,7 @@ fn all_forms_are_read() {
 }
 
 #[test]
-fn what_is_no_path_is_refused_with_the_file() {
+fn rejects_invalid_paths_and_names_the_file() {
     let folder = tempfile::tempdir().unwrap();
     let cut = |mut bytes: Vec<u8>| {
         bytes.truncate(bytes.len() - 1);
@@ -87,7 +87,7 @@ fn what_is_no_path_is_refused_with_the_file() {
 }
 
 #[test]
-fn a_million_points_are_driven_in_no_time() {
+fn a_million_points_are_fast() {
     let points: Vec<[f64; 2]> =
         (0..1_000_000).map(|i| [f64::from(i) * 1e-3, (f64::from(i) * 1e-5).sin()]).collect();
     let folder = tempfile::tempdir().unwrap();

@@ -29,7 +29,7 @@ fn assert_is_the_log(log: &Recording, instants: &[Instant]) {
 }
 
 #[test]
-fn replay_at_logged_times_is_the_log_bit_for_bit() {
+fn replay_at_logged_times_equals_the_log_bit_for_bit() {
     let log = made::log(6);
     let options = SimOptions { steps: 60, ..SimOptions::default() };
     let mut sim = made::start(&log, &options);
@@ -66,7 +66,7 @@ fn steps_between_frames_are_interpolated_and_the_log_ends() {
 }
 
 #[test]
-fn forecasts_of_a_replay_are_the_log() {
+fn forecasts_of_a_replay_equal_the_log() {
     let log = made::log(4);
     let options = SimOptions { steps: 40, ..SimOptions::default() };
     let mut sim = made::start(&log, &options);
@@ -89,7 +89,7 @@ fn forecasts_of_a_replay_are_the_log() {
 
 /// Forecasts of self-driving actors come true although the ego has no plan.
 #[test]
-fn forecasts_beside_a_replay_come_true() {
+fn forecasts_during_a_replay_match() {
     for actors in [ActorPolicy::Idm, ActorPolicy::Reactive] {
         let log = made::log(4);
         let options = SimOptions { steps: 30, actors, ..SimOptions::default() };
@@ -128,7 +128,7 @@ fn options_that_do_not_fit_are_usage_errors() {
 }
 
 #[test]
-fn odd_logs_work_where_they_can() {
+fn logs_with_gaps_or_missing_parts_work() {
     for policy in [EgoPolicy::Replay, EgoPolicy::LaneChange, EgoPolicy::Straight, EgoPolicy::Cosine] {
         for actors in [ActorPolicy::Replay, ActorPolicy::Idm, ActorPolicy::Reactive] {
             let options = SimOptions { steps: 30, ego: policy.clone(), actors, ..SimOptions::default() };
@@ -160,7 +160,7 @@ fn odd_logs_work_where_they_can() {
 }
 
 #[test]
-fn replayed_actors_are_gone_when_their_track_ends() {
+fn replayed_actors_are_removed_when_their_track_ends() {
     let log = made::log(2);
     let options = SimOptions { steps: 40, ego: EgoPolicy::Straight, ..SimOptions::default() };
     let instants = all(&mut made::start(&log, &options));
@@ -171,7 +171,7 @@ fn replayed_actors_are_gone_when_their_track_ends() {
 }
 
 #[test]
-fn conditions_are_made_of_instants() {
+fn conditions_are_created_from_instants() {
     let log = made::log(2);
     let sim = made::start(&log, &SimOptions::default());
     let instant = sim.committed().get().to_owned().clone();
@@ -184,7 +184,7 @@ fn conditions_are_made_of_instants() {
 }
 
 #[test]
-fn the_ego_box_stands_on_its_rear_axle() {
+fn the_ego_box_is_placed_relative_to_its_rear_axle() {
     let log = made::log(1);
     let ego = made::start(&log, &SimOptions::default()).committed().get().ego;
     let local = ego.pose.inverse() * ego.cuboid().pose;

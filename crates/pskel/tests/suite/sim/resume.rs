@@ -31,7 +31,7 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(24))]
 
     #[test]
-    fn resumed_is_run_through(
+    fn resuming_equals_an_uninterrupted_run(
         policy in 0usize..6,
         actors in prop::sample::select(vec![ActorPolicy::Replay, ActorPolicy::Idm, ActorPolicy::Reactive]),
         tracking in prop::sample::select(vec![Tracking::Perfect, Tracking::Bicycle]),
@@ -78,7 +78,7 @@ fn more_steps_may_follow() {
 }
 
 #[test]
-fn states_of_other_rollouts_and_damaged_ones_are_refused() {
+fn rejects_states_of_other_rollouts_and_damaged_states() {
     let log = made::log(6);
     let options =
         SimOptions { steps: 20, actors: ActorPolicy::Idm, ego: EgoPolicy::Straight, ..SimOptions::default() };

@@ -4,7 +4,7 @@ use super::*;
 use pskel_testing::shared::assert_tells;
 
 #[test]
-fn bad_answers_are_told() {
+fn bad_answers_are_errors() {
     let folder = tempfile::tempdir().unwrap();
     let said = |tensor: &str| format!("say(prediction=({tensor}))");
     let floats = |at: usize, value: &str| {
@@ -58,7 +58,7 @@ fn bad_answers_are_told() {
 }
 
 #[test]
-fn bad_hellos_are_told() {
+fn bad_hellos_are_errors() {
     let folder = tempfile::tempdir().unwrap();
     for (answer, part) in [
         (
@@ -137,7 +137,7 @@ fn denoisers_that_hang_or_die_are_noticed() {
 /// A surplus answer is rejected on arrival, or as the answer to the next call, because its number does not
 /// match.
 #[test]
-fn answers_that_were_not_asked_for_are_refused() {
+fn unsolicited_answers_are_rejected() {
     let folder = tempfile::tempdir().unwrap();
     let answer = "say({'call': '0'}, prediction=('F32', SHAPE, bytes(576)))";
     let lines = format!("see()\nsay(HELLO)\nsee()\n{answer}\n{answer}\ntime.sleep(600)");
@@ -149,7 +149,7 @@ fn answers_that_were_not_asked_for_are_refused() {
 }
 
 #[test]
-fn windows_other_than_told_are_not_sent() {
+fn windows_other_than_declared_are_not_sent() {
     use pskel_generate::Denoiser;
     let mut denoiser = start(example(), PATIENT_S).unwrap();
     let good = (Latent::filled(SHAPE, 0.0), conditions(0));
@@ -181,7 +181,7 @@ fn windows_other_than_told_are_not_sent() {
 
 /// After any failure, a new process generates the same frames as without it.
 #[test]
-fn a_generator_goes_on_with_a_new_process() {
+fn a_generator_continues_with_a_new_process() {
     let folder = tempfile::tempdir().unwrap();
     let drive = drive(3);
     let (frames, caches) =

@@ -43,7 +43,7 @@ fn fails(log: &Recording, options: SimOptions) -> PlannerError {
 
 /// An unsolicited line of a planner is not taken as an answer to the next observation.
 #[test]
-fn lines_that_nobody_asked_for_are_told() {
+fn unsolicited_lines_are_an_error() {
     let log = made::log(2);
     let folder = tempfile::tempdir().unwrap();
     let lines = format!("see()\n{HELLO}\nprint('model loaded', flush=True)\ntime.sleep(60)");
@@ -66,7 +66,7 @@ fn lines_that_nobody_asked_for_are_told() {
 
 /// A server with a full queue blocks a client until its timeout, not forever.
 #[test]
-fn planners_that_accept_nobody_are_given_up() {
+fn planners_that_do_not_accept_time_out() {
     let log = made::log(2);
     let folder = tempfile::tempdir().unwrap();
     let socket = folder.path().join("planner");
@@ -88,7 +88,7 @@ fn planners_that_accept_nobody_are_given_up() {
 }
 
 #[test]
-fn bad_answers_end_the_rollout_with_what_was_wrong() {
+fn bad_answers_end_the_rollout_with_the_reason() {
     let log = made::log(2);
     let folder = tempfile::tempdir().unwrap();
     let plan = |points: &str| format!("'{{\"trajectory\": [{points}]}}'");
@@ -128,7 +128,7 @@ fn bad_answers_end_the_rollout_with_what_was_wrong() {
 }
 
 #[test]
-fn bad_hellos_are_told() {
+fn bad_hellos_are_errors() {
     let log = made::log(2);
     let folder = tempfile::tempdir().unwrap();
     for (answer, part) in [
@@ -160,7 +160,7 @@ fn lives(pid: &str) -> bool {
 }
 
 #[test]
-fn planners_that_hang_or_die_are_noticed_and_ended() {
+fn planners_that_hang_or_die_are_detected_and_killed() {
     let log = made::log(2);
     let folder = tempfile::tempdir().unwrap();
     let pids = folder.path().join("pids");
