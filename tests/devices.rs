@@ -67,7 +67,7 @@ fn come_and_go(round: u64) -> Result<(), GpuError> {
 }
 
 #[test]
-fn devices_come_and_go_while_others_work() {
+fn devices_open_and_close_while_others_work() {
     let (seconds, threads) = (number("PSKEL_STRESS_S", 10), number("PSKEL_STRESS_THREADS", 3));
     let (end, failed) = (Instant::now() + Duration::from_secs(seconds), AtomicBool::new(false));
     let (opened, copied) = (AtomicU64::new(0), AtomicU64::new(0));

@@ -162,7 +162,7 @@ mod tests {
     }
 
     #[test]
-    fn bad_files_say_what_was_expected() {
+    fn errors_state_the_expected_content() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("c.json");
         write(&path, &views()).unwrap();

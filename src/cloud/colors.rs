@@ -142,7 +142,7 @@ mod tests {
     }
 
     #[test]
-    fn levels_stay_as_they_are() {
+    fn levels_are_unchanged() {
         for values in [Bytes, Integers, Floats, Levels] {
             let colors = [[0.0, 1.0, 0.0], [9.0, 255.0, 128.0]];
             assert_eq!(levels(values, &colors), (colors.map(|c| some(c.map(|v| v as u8))).to_vec(), None));

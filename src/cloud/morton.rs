@@ -53,7 +53,7 @@ mod tests {
     }
 
     #[test]
-    fn corners_of_a_cube_come_in_the_order_of_their_bits() {
+    fn cube_corners_sort_by_their_bits() {
         let corner = |i: u32| [0, 1, 2].map(|axis| if i >> axis & 1 == 1 { 1.0 } else { 0.0 });
         let sorted: Vec<[f32; 3]> = (0..8).map(corner).collect();
         assert_eq!(order(&sorted), None);
@@ -62,7 +62,7 @@ mod tests {
     }
 
     #[test]
-    fn equals_keep_their_order_and_nonsense_does_no_harm() {
+    fn equal_points_keep_their_order_and_nan_is_accepted() {
         assert_eq!(order(&[[1.0; 3], [0.0; 3], [1.0; 3], [0.0; 3]]), Some(vec![1, 3, 0, 2]));
         assert_eq!(order(&[[5.0; 3]; 3]), None);
         let order = order(&[[1.0; 3], [f32::NAN; 3], [0.0; 3]]).unwrap();

@@ -18,7 +18,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn words_that_are_not_finite_are_numbers() {
+    fn parses_non_finite_words() {
         for text in [
             "nan",
             "NaN",

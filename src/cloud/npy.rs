@@ -281,7 +281,7 @@ mod tests {
     }
 
     #[test]
-    fn bad_files_say_what_was_expected() {
+    fn errors_state_the_expected_content() {
         let data = f32s(&ROW);
         for (bytes, message) in [
             (array("<i4", false, "(1, 7)", &data), "dtype <f2, <f4 or <f8, found dtype '<i4'"),

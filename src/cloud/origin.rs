@@ -159,7 +159,7 @@ mod tests {
     }
 
     #[test]
-    fn the_city_with_most_points_wins() {
+    fn origin_is_in_the_city_with_most_points() {
         let berlin = scene(300).into_iter().map(|p| p + DVec3::new(-300_000.0, 480_000.0, 0.0));
         let all: Vec<DVec3> = berlin.chain(scene(301)).collect();
         assert_eq!(origin_of(all), scene(1)[0].round());

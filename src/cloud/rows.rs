@@ -222,7 +222,7 @@ mod tests {
     }
 
     #[test]
-    fn more_points_than_fit_into_memory_are_refused() {
+    fn rejects_more_points_than_fit_into_memory() {
         let format =
             RowFormat { rows: 1 << 50, double: true, colors: ColorValues::Levels, path: Path::new("p.npy") };
         let message = collect(&format, |_| panic!("read")).unwrap_err().to_string();
@@ -242,7 +242,7 @@ mod tests {
     }
 
     #[test]
-    fn rows_that_are_not_finite_keep_their_place() {
+    fn non_finite_rows_keep_their_position() {
         let broken = Row { position: [0.0, f64::INFINITY, 0.0], rgb: [f64::NAN; 3], class: f64::NAN };
         let cloud = collected(false, &[broken, ROW]).unwrap();
         assert_eq!((cloud.points.len(), cloud.non_finite), (2, 1));

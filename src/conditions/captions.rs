@@ -137,7 +137,7 @@ mod tests {
     }
 
     #[test]
-    fn time_and_weather_become_the_captions_of_the_training() {
+    fn time_and_weather_become_training_captions() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("captions.json");
         let text = r#"{"a": {"time": "daytime", "weather": "clear, sunny"}, "b": {"weather": "overcast"},
@@ -173,7 +173,7 @@ mod tests {
     }
 
     #[test]
-    fn the_closest_caption_is_used() {
+    fn most_specific_caption_is_used() {
         let captions = captions(&[("t", "image"), ("log", "of the log")]);
         let log = Recording { name: "log".into(), description: "described".into(), ..Recording::default() };
         let prompt = PromptParts { weather: Some("Rainy".into()), city: None };

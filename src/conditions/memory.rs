@@ -83,14 +83,14 @@ mod tests {
     use crate::geometry::Camera;
 
     #[test]
-    fn encoders_have_their_measured_memory() {
+    fn encoder_memory_covers_measurements() {
         for bytes in [0, 1, 7, 16, 1000, 1 << 40] {
             assert!((with_encoded(bytes) - bytes) as f64 >= bytes as f64 / 1.6, "{bytes}");
         }
     }
 
     #[test]
-    fn steps_need_what_their_maps_hold() {
+    fn step_memory_is_the_size_of_its_maps() {
         let rows = [[100.0, 0.0, 50.0], [0.0, 100.0, 50.0], [0.0, 0.0, 1.0]];
         let view = |side| View {
             camera: Camera::new("c", side, 10, rows).unwrap(),

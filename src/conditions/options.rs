@@ -122,7 +122,7 @@ mod tests {
     }
 
     #[test]
-    fn options_serialize_as_the_command_line_has_them() {
+    fn options_serialize_as_on_the_command_line() {
         let options = ConditionOptions {
             out_size: Some(ImageSize { height: 256, width: 448 }),
             color_filter: ColorFilter::ValidArea,

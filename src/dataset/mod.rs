@@ -10,6 +10,7 @@
     allow(dead_code, unreachable_pub, unused_imports, reason = "with only some of the readers")
 )]
 
+#[cfg(feature = "av2")]
 pub mod av2;
 mod category;
 #[cfg(any(feature = "nuscenes", feature = "nuplan", feature = "av2"))]
@@ -26,7 +27,6 @@ pub mod nuplan;
 pub mod nuscenes;
 mod picture;
 mod reading;
-#[cfg(feature = "av2")]
 mod recording;
 mod registry;
 mod summary;

@@ -43,7 +43,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn content_is_that_of_the_file() {
+    fn mapped_bytes_match_the_file() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("a.bin");
         std::fs::write(&path, [1, 2, 3]).unwrap();

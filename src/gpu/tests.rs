@@ -17,7 +17,7 @@ fn buffer(device: &Arc<Device>, usage: Usage, memory: Memory) -> Result<Buffer, 
 }
 
 #[test]
-fn bytes_go_there_and_back() {
+fn bytes_round_trip() {
     let device = device();
     let mut upload = buffer(&device, Usage::TRANSFER_SRC, Memory::Upload).unwrap();
     let middle = buffer(&device, Usage::TRANSFER_SRC | Usage::TRANSFER_DST, Memory::Device).unwrap();
@@ -46,7 +46,7 @@ fn bytes_go_there_and_back() {
 }
 
 #[test]
-fn a_wrong_call_is_heard() {
+fn validation_reports_a_wrong_call() {
     let device = device();
     let made = buffer(&device, Usage::empty(), Memory::Device);
     let text = device.check_validation().unwrap_err().to_string();
@@ -55,7 +55,7 @@ fn a_wrong_call_is_heard() {
 }
 
 #[test]
-fn a_missing_barrier_is_heard() {
+fn validation_reports_a_missing_barrier() {
     let device = device();
     let from = buffer(&device, Usage::TRANSFER_SRC | Usage::TRANSFER_DST, Memory::Device).unwrap();
     let to = buffer(&device, Usage::TRANSFER_DST, Memory::Readback).unwrap();
@@ -69,7 +69,7 @@ fn a_missing_barrier_is_heard() {
 }
 
 #[test]
-fn a_leak_is_heard_after_the_device_is_gone() {
+fn validation_reports_a_leak_after_the_device_is_destroyed() {
     let device = device();
     let messages = device.validation_messages();
     let info = ash::vk::FenceCreateInfo::default();
@@ -83,7 +83,7 @@ fn a_leak_is_heard_after_the_device_is_gone() {
 }
 
 #[test]
-fn images_too_large_are_refused_by_name() {
+fn rejects_too_large_images_by_name() {
     let device = device();
     let usage = ash::vk::ImageUsageFlags::SAMPLED;
     let format = ash::vk::Format::R32G32_UINT;
@@ -94,7 +94,7 @@ fn images_too_large_are_refused_by_name() {
 }
 
 #[test]
-fn indices_know_their_reach() {
+fn indices_bound_the_vertices_of_a_draw() {
     let device = device();
     let mut commands = Commands::new(&device).unwrap();
     let indices = Indices::new(&device, &mut commands, &[4, 0, 7]).unwrap();

@@ -176,7 +176,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_not_finite_widens_no_bounds() {
+    fn non_finite_points_do_not_widen_bounds() {
         let points = [point(1.0), point(f32::NAN), point(f32::INFINITY), point(3.0)];
         let cloud = ChunkedCloud::new(&points);
         let extent = cloud.groups[0].block(0);

@@ -186,7 +186,7 @@ mod tests {
     }
 
     #[test]
-    fn what_no_pixel_shows_is_culled() {
+    fn boxes_outside_the_frustum_do_not_touch() {
         let frustum = frustum();
         let extent = |center, half| Extent { center, half: [half; 3] };
         let touches = |center, half| frustum.touches(&extent(center, half));
@@ -203,7 +203,7 @@ mod tests {
 
     /// All blocks of a group at once as one by one; a block without finite points never touches.
     #[test]
-    fn groups_touch_as_their_blocks_do() {
+    fn group_test_matches_the_block_tests() {
         let frustum = frustum();
         let between =
             |i: usize, axis: i64| crate::hash::between(5, &[i as i64 / 1024, axis], -40.0, 40.0) as f32;

@@ -133,7 +133,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn names_go_there_and_back() {
+    fn names_round_trip() {
         use RasterizerKind as Kind;
         for kind in [Kind::Auto, Kind::Compute, Kind::Graphics, Kind::Cpu] {
             assert_eq!(kind.to_string().parse(), Ok(kind));

@@ -139,7 +139,7 @@ mod tests {
     }
 
     #[test]
-    fn what_both_clouds_have_is_drawn_once() {
+    fn shared_instances_are_drawn_once() {
         let schedule = SplatSchedule::default();
         let color = [instance(0, 0), instance(1, 1), instance(2, 2), instance(3, 3)];
         let geometry = [instance(0, 0), instance(9, 1), instance(2, 2), instance(8, 4)];

@@ -145,7 +145,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn text_goes_there_and_back() {
+    fn text_round_trips() {
         let schedule: SplatSchedule = "15:2,35:1,100:0".parse().unwrap();
         assert_eq!(schedule, SplatSchedule::default());
         assert_eq!(schedule.to_string(), "15:2,35:1,100:0");
@@ -153,7 +153,7 @@ mod tests {
     }
 
     #[test]
-    fn anything_else_is_refused() {
+    fn rejects_invalid_text() {
         for text in [
             "",
             "15",

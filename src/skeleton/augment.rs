@@ -225,7 +225,7 @@ mod tests {
     }
 
     #[test]
-    fn thinning_comes_near_the_ratio_and_never_below_the_least() {
+    fn thinning_approximates_the_ratio_above_the_minimum() {
         let points = shell(0.04);
         for i in 0..=20 {
             let at = f64::from(i) / 20.0;
@@ -244,7 +244,7 @@ mod tests {
     }
 
     #[test]
-    fn one_view_sees_two_sides_of_a_box_and_not_what_lies_behind() {
+    fn one_view_sees_two_sides_of_a_box_and_nothing_behind() {
         let points = shell(0.03);
         for (end, turn) in [(0.2, 0.5), (0.7, 0.5), (0.2, 0.3), (0.9, 0.7)] {
             let (kept, how) = one_view(&points, end, turn).unwrap();
@@ -273,7 +273,7 @@ mod tests {
     }
 
     #[test]
-    fn the_camera_stands_on_the_side_with_more_points() {
+    fn the_camera_is_on_the_side_with_more_points() {
         let mut points = shell(0.05);
         points.retain(|p| p.position[1] < 0.3);
         for i in 0..40 {
@@ -287,7 +287,7 @@ mod tests {
     }
 
     #[test]
-    fn shares_are_as_asked_and_results_do_not_depend_on_order_or_threads() {
+    fn shares_match_the_options_for_any_order_and_thread_count() {
         let points = shell(0.15);
         let tracks: Vec<String> = (0..400).map(|i| format!("track-{i}")).collect();
         let options = AugmentOptions { seed: 7, ..AugmentOptions::default() };
@@ -311,7 +311,7 @@ mod tests {
     }
 
     #[test]
-    fn small_flat_and_broken_assets_stay_as_they_are() {
+    fn small_flat_and_invalid_assets_are_unchanged() {
         let few = &shell(0.3)[..200];
         assert_eq!(augment(few, "a", &always(1)).1, Augmentation::None);
         assert_eq!(augment(&[], "a", &always(1)), (Vec::new(), Augmentation::None));

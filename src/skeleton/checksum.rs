@@ -85,7 +85,7 @@ mod tests {
     }
 
     #[test]
-    fn every_bit_of_a_point_counts() {
+    fn checksum_depends_on_every_bit() {
         let points: Vec<Point> = (0..50).map(|i| Point::new([i as f32, 0.5, -1.0], [i; 3], i)).collect();
         let whole = Checksum::of(&points);
         for bit in 0..8 * size_of_val(points.as_slice()) {
@@ -97,7 +97,7 @@ mod tests {
     }
 
     #[test]
-    fn text_goes_there_and_back() {
+    fn text_round_trips() {
         let checksum = Checksum(0x00ab_cdef_0123_4567);
         let json = serde_json::to_string(&checksum).unwrap();
         assert_eq!(json, "\"00abcdef01234567\"");

@@ -172,7 +172,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn tracks_become_names_of_files() {
+    fn tracks_become_file_names() {
         let mut taken = BTreeSet::new();
         let mut name = |track| file_name(track, &mut taken);
         assert_eq!(

@@ -114,7 +114,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn points_return_at_their_positions() {
+    fn points_keep_their_positions() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("skeleton");
         let far = DVec3::new(500_000.25, -4_000_000.5, 30.125);

@@ -85,7 +85,7 @@ mod tests {
     }
 
     #[test]
-    fn positions_between_and_just_beyond() {
+    fn positions_are_interpolated_and_briefly_extrapolated() {
         let t = trajectory(&[(0, 0.0), (200_000, 2.0), (400_000, 6.0)]);
         let x = |us| t.at(0, us).map(|c| c.pose.translation.x);
         assert_eq!([x(0), x(100_000), x(300_000), x(400_000)], [Some(0.0), Some(1.0), Some(4.0), Some(6.0)]);
@@ -96,7 +96,7 @@ mod tests {
     }
 
     #[test]
-    fn a_single_box_stands_still_for_a_moment() {
+    fn a_single_box_is_static_for_a_short_time() {
         let t = trajectory(&[(0, 3.0)]);
         assert_eq!(t.velocity(0, 0), DVec3::ZERO);
         assert!(t.at(0, 0).is_some() && t.at(0, 0) == t.at(0, -100_000) && t.at(0, 200_000).is_none());

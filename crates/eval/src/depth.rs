@@ -55,7 +55,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn numbers_by_hand() {
+    fn computes_depth_errors() {
         let mut errors = DepthErrors::default();
         assert_eq!(errors.clone().summary(), None);
         // True depth of 10 m, errors of 0, 1, .. 19 cm; plus pixels that are empty in one map.
@@ -71,7 +71,7 @@ mod tests {
     }
 
     #[test]
-    fn the_same_map_is_not_off() {
+    fn identical_maps_have_zero_error() {
         let mut errors = DepthErrors::default();
         errors.add(&[1.0, f32::INFINITY, 80.5], &[1.0, f32::INFINITY, 80.5]);
         let exact =

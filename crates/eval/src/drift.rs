@@ -37,7 +37,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn lines_have_their_slope() {
+    fn drift_of_a_line_is_its_slope() {
         let t_s: Vec<f64> = (0..7).map(|i| 5.0 + 0.5 * f64::from(i)).collect();
         let mut values: Vec<Option<f64>> = t_s.iter().map(|t| Some(20.0 - 3.0 * t)).collect();
         let drift = Drift::of(&t_s, &values).unwrap();
@@ -53,7 +53,7 @@ mod tests {
     }
 
     #[test]
-    fn noise_that_averages_out_is_no_slope() {
+    fn symmetric_noise_has_zero_slope() {
         let t_s = [0.0, 1.0, 2.0, 3.0];
         let drift = Drift::of(&t_s, &[1.0, 2.0, 2.0, 1.0].map(Some)).unwrap();
         assert_eq!((drift.slope_per_s, drift.last_minus_first_third), (0.0, 0.0));

@@ -10,6 +10,7 @@
 //! (feature `network`) generates images with variants of the generator and compares their scores.
 //! [`protocol`] defines evaluation protocols, and [`bench`](mod@bench) measures the speed of rendering.
 
+#[cfg(feature = "network")]
 pub mod ablate;
 pub mod bench;
 mod depth;
@@ -19,7 +20,6 @@ mod evaluate;
 #[cfg(feature = "town")]
 mod fidelity;
 mod images;
-#[cfg(feature = "network")]
 pub mod plot;
 pub mod protocol;
 mod scores;

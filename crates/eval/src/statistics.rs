@@ -91,7 +91,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn intervals_by_hand() {
+    fn computes_confidence_intervals() {
         let interval = mean_interval(&[1.0, 2.0, 3.0, 4.0, f64::INFINITY]).unwrap();
         assert_eq!((interval.count, interval.mean), (4, 2.5));
         // The variance is 5/3, with three degrees of freedom.
@@ -106,7 +106,7 @@ mod tests {
     }
 
     #[test]
-    fn quantiles_go_on_beyond_the_table() {
+    fn quantiles_match_scipy_beyond_the_table() {
         // scipy.stats.t.ppf(0.975, n)
         for (degrees, expected) in [(31, 2.039_513_446), (60, 2.000_297_822), (1000, 1.962_339_081)] {
             assert!((student_t(degrees) - expected).abs() < 1e-6, "{degrees}: {}", student_t(degrees));

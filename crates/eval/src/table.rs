@@ -32,7 +32,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn cells_are_numbers_or_dashes_in_columns() {
+    fn formats_aligned_cells() {
         assert_eq!([number(Some(-0.5), 3), number(None, 3)], ["-0.500", "-"]);
         assert_eq!([number(Some(1.25), 1), number(Some(f64::INFINITY), 2)], ["1.2", "inf"]);
         let cells = |rows: [[&str; 2]; 2]| rows.map(|row| row.map(str::to_owned).to_vec()).to_vec();
@@ -41,7 +41,7 @@ mod tests {
     }
 
     #[test]
-    fn intervals_have_a_half_width_or_none() {
+    fn formats_intervals() {
         let mean = |half_width| Some(MeanInterval { count: 2, mean: 1.25, half_width });
         assert_eq!(
             [interval(mean(Some(0.5)), 2), interval(mean(None), 1), interval(None, 2)],

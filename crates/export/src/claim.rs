@@ -123,7 +123,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_option_that_differs_is_named() {
+    fn names_differing_options() {
         let with = |options: Value| json!({ "version": "1", "records": 3, "options": options });
         let ours = with(json!({ "layout": "frames", "shard_frames": 2, "frames": null }));
         let compared = |theirs: &Value| compare(&ours, theirs, Path::new("export.json"));

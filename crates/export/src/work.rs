@@ -158,7 +158,7 @@ mod tests {
     }
 
     #[test]
-    fn parts_are_the_whole_list() {
+    fn parts_cover_the_list() {
         let list = list(&[("a", 9), ("b", 40), ("c", 3)]);
         for count in 1..20 {
             let part = |index| list.part(format!("{index}/{count}").parse().unwrap());
@@ -175,7 +175,7 @@ mod tests {
     }
 
     #[test]
-    fn names_that_collide_are_refused() {
+    fn rejects_colliding_names() {
         let log = |name: &str| {
             (
                 LogLocator::new(&point_skeleton::dataset::nuscenes::FORMAT, "p"),

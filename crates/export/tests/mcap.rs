@@ -187,7 +187,7 @@ fn matrix(rows: &Value) -> DMat4 {
 }
 
 #[test]
-fn files_hold_what_the_layout_frames_holds() {
+fn mcap_matches_the_frames_layout() {
     let folder = tempfile::tempdir().unwrap();
     let folder = folder.path();
     run(folder, "frames", Layout::Frames, MapSet::of(&MAPS));

@@ -83,7 +83,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn numbers_that_do_not_go_together_are_refused() {
+    fn rejects_inconsistent_options() {
         let good = GenerateOptions {
             window: 4,
             steps: 8,

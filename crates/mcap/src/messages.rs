@@ -185,7 +185,7 @@ mod tests {
     }
 
     #[test]
-    fn calibrations_have_the_size_of_maps() {
+    fn calibrations_match_the_map_size() {
         let rows = [[800.0, 0.0, 400.0], [0.0, 900.0, 225.0], [0.0, 0.0, 1.0]];
         let camera = Camera::new("c", 800, 450, rows).unwrap();
         let time = timestamp(0).unwrap();

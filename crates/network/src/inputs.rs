@@ -196,7 +196,7 @@ mod tests {
     }
 
     #[test]
-    fn rays_look_where_the_camera_looks() {
+    fn rays_follow_the_camera_direction() {
         let config = config(24, 24);
         let rays = camera_rays(&config, &CAMERA);
         assert_eq!(rays.len(), 9 * RAY);
@@ -212,7 +212,7 @@ mod tests {
 
     /// A point in one pixel: its color fills the image, and the masks show where it is.
     #[test]
-    fn pixels_have_filled_colors_and_masks() {
+    fn pixel_inputs_have_filled_color_and_masks() {
         let config = config(8, 16);
         let pixels = 128;
         let mut points = vec![0.0; POINT_CHANNELS * pixels];

@@ -109,7 +109,7 @@ mod tests {
     }
 
     #[test]
-    fn the_right_answer_gives_the_clean_latent() {
+    fn exact_answer_recovers_the_clean_latent() {
         let (clean, guess) = (rows(|i| (i as f32).sin()), rows(|i| 0.5 * (i as f32).cos()));
         let noise = rows(|i| (1.7 * i as f32).cos());
         for sigma in [0.0025_f32, 0.01, 0.3, 0.8, 0.97, 1.0] {
@@ -126,7 +126,7 @@ mod tests {
     }
 
     #[test]
-    fn without_noise_it_is_what_was_given_and_with_nothing_else_the_guess() {
+    fn limits_at_no_noise_and_full_noise() {
         let (noisy, guess, answer) =
             (rows(|i| (i as f32).sin()), rows(|i| (i as f32).cos()), rows(|i| (2.0 * i as f32).sin()));
         let faint = Levels::new(&[1e-5, 1e-5], &PRIORS).clean(&noisy, &guess, &answer).unwrap();
@@ -144,7 +144,7 @@ mod tests {
     /// If the error of the guess is `p`, input and target have unit variance and are not correlated: no
     /// linear relation is left to learn.
     #[test]
-    fn question_and_answer_have_unit_variance() {
+    fn input_and_answer_have_unit_variance() {
         use pskel_generate::{GaussianNoise, LatentShape, NoiseSource};
         let (count, p) = (40_000, 0.3_f32);
         let shape = LatentShape { views: 1, channels: 1, height: 1, width: count };

@@ -59,7 +59,7 @@ mod tests {
     use pskel_town::{FORMAT, Town};
 
     #[test]
-    fn a_town_is_located_by_options_it_has() {
+    fn town_locators_reject_unknown_options() {
         assert_eq!(*locate("town:seed=3").unwrap().format, FORMAT);
         let message = locate("town:seed=3,color=red").unwrap_err().to_string();
         assert!(message.contains("expected the options") && message.contains("color"), "{message}");

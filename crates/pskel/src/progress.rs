@@ -133,7 +133,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_time_left_follows_from_what_is_done() {
+    fn time_left_follows_progress() {
         let start = Instant::now() - Duration::from_secs(60);
         let progress = |done| Progress { bar: None, done, total: 40, start };
         let left = |done| progress(done).left().as_secs();
@@ -143,7 +143,7 @@ mod tests {
     }
 
     #[test]
-    fn long_stages_get_few_lines_and_always_the_last() {
+    fn prints_few_lines_and_always_the_last() {
         for total in [1, 7, 10, 11, 38, 1000] {
             let mut progress = Progress { bar: None, done: 0, total, start: Instant::now() };
             let mut lines = 0;

@@ -121,7 +121,7 @@ mod tests {
     }
 
     #[test]
-    fn steps_at_frames_are_the_log_s() {
+    fn steps_at_frames_use_log_times() {
         use point_skeleton::dataset::Frame;
         let frame = |t_us: i64| Frame {
             t_us,
@@ -151,7 +151,7 @@ mod tests {
     }
 
     #[test]
-    fn rates_that_do_not_fit_are_named() {
+    fn rejects_incompatible_rates() {
         let message = clock(10.0, 3.0).unwrap_err().to_string();
         assert!(message.contains("10 Hz") && message.contains("3 Hz"), "{message}");
         assert!(matches!(clock(5.0, 10.0), Err(SimError::Clock { .. })));

@@ -202,7 +202,7 @@ mod tests {
     }
 
     #[test]
-    fn circles_are_kept_within_a_decimeter() {
+    fn bicycle_tracks_circles_within_a_decimeter() {
         for (radius_m, speed_mps) in [(8.0, 4.0), (15.0, 6.0), (40.0, 10.0)] {
             // The wheels already have the angle for the bend.
             let steering_rad = (WHEELBASE_M / radius_m).atan();
@@ -219,7 +219,7 @@ mod tests {
     }
 
     #[test]
-    fn bad_starts_die_out() {
+    fn initial_errors_decay() {
         let plan = circle(30.0, 8.0, 20);
         for (place, heading) in [(DVec2::new(-2.0, 1.5), 0.3), (DVec2::new(1.0, -2.0), -0.5)] {
             let driven = drive(Tracking::Bicycle, ego(place, heading, 4.0), &plan, 20);
@@ -230,7 +230,7 @@ mod tests {
     }
 
     #[test]
-    fn impossible_plans_meet_the_limits_and_stops_are_stops() {
+    fn impossible_plans_are_limited_and_stops_hold() {
         // A jump of 30 m to the side at full speed, then a sudden stop.
         let at = |t_us: i64, x_m: f64, y_m: f64, speed_mps: f64| Waypoint {
             t_us,

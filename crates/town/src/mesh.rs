@@ -151,7 +151,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_block_is_closed_and_looks_outward() {
+    fn blocks_are_closed_and_face_outward() {
         let mut mesh = Mesh::default();
         mesh.block(DVec3::new(-1.0, -2.0, 0.0), DVec3::new(1.0, 2.0, 3.0), Skin::new([9; 3], Surface::Plain));
         assert_eq!((mesh.vertices.len(), mesh.triangles.len()), (24, 12));

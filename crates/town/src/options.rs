@@ -203,7 +203,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn options_go_there_and_back() {
+    fn options_round_trip() {
         let text = "seed=18446744073709551615,frames=3,hz=2.5,beams=64,lidar_hz=20,size=90x160,light=dusk";
         let options: TownOptions = text.parse().unwrap();
         assert_eq!((options.seed, options.frames, options.size), (u64::MAX, 3, [90, 160]));
@@ -214,7 +214,7 @@ mod tests {
     }
 
     #[test]
-    fn what_no_town_has_is_told() {
+    fn rejects_invalid_options() {
         for (text, expected, found) in [
             ("seed", "KEY=VALUE with seed, frames", "seed"),
             ("colour=red", "KEY=VALUE", "colour"),

@@ -47,7 +47,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_templates_fill_boxes_of_their_kind_and_are_the_defaults_of_the_core() {
+    fn templates_fill_their_boxes_and_match_the_core_defaults() {
         let templates = templates();
         let kinds: Vec<TemplateKind> = templates.iter().map(|(t, _)| t.kind).collect();
         use TemplateKind as Kind;

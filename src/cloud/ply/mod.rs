@@ -179,7 +179,7 @@ mod tests {
     }
 
     #[test]
-    fn bad_files_say_what_was_expected() {
+    fn errors_state_the_expected_content() {
         let header = |format: &str, body: &str| format!("ply\nformat {format} 1.0\n{body}end_header\n");
         let xyz = "property float x\nproperty float y\nproperty float z\n";
         for (text, message) in [

@@ -319,7 +319,7 @@ mod tests {
     }
 
     #[test]
-    fn the_ego_drives_up_and_left_is_left() {
+    fn ego_faces_up_and_left_stays_left() {
         for yaw in [0.0, 0.7, 2.0, -1.9] {
             let (size, pixels) = draw(&state(yaw), &BirdseyeOptions::default());
             assert_eq!((size.height, size.width, pixels.len()), (800, 800, 640_000));
@@ -337,7 +337,7 @@ mod tests {
     }
 
     #[test]
-    fn what_makes_no_picture_does_no_harm() {
+    fn invalid_input_does_not_panic() {
         let mut state = state(0.0);
         state.actors[0].cuboid.pose.translation.x = f64::NAN;
         for (side_px, reach_m) in
@@ -353,7 +353,7 @@ mod tests {
     }
 
     #[test]
-    fn traces_run_where_they_are_and_are_cut() {
+    fn traces_are_drawn_and_clipped() {
         let mut state = state(0.0);
         (state.map, state.actors) = (None, Vec::new());
         let global = |x: f64, y: f64| state.global_from_ego.transform_point(DVec3::new(x, y, 0.0)).truncate();
@@ -369,7 +369,7 @@ mod tests {
     }
 
     #[test]
-    fn a_camera_is_a_wedge_where_it_looks() {
+    fn cameras_are_drawn_as_wedges() {
         let mut state = state(0.0);
         state.map = None;
         state.actors.clear();

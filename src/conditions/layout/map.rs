@@ -104,7 +104,7 @@ mod tests {
     }
 
     #[test]
-    fn the_window_leaves_out_nothing_that_is_seen() {
+    fn window_contains_everything_visible() {
         // Random triangles at UTM coordinates, seen by cameras of random orientation.
         let origin = DVec3::new(600_000.0, 4_000_000.0, 30.0);
         let mut state = 3_u64;

@@ -92,7 +92,7 @@ mod tests {
     }
 
     #[test]
-    fn clipping_keeps_the_line_where_it_was() {
+    fn clipping_preserves_the_line() {
         let view = view();
         let (a, b) = (DVec3::new(-30.0, 2.0, -4.0), DVec3::new(5.0, 1.0, 60.0));
         let clipped = segment(a, b, [NEAR_M, BOXES_FAR_M], [1; 3], &view).unwrap();

@@ -60,7 +60,7 @@ mod tests {
 
     /// A wall at 20 m behind the gaps of a car at 5 m: hidden within the car, visible beside it.
     #[test]
-    fn gaps_of_a_near_surface_hide_what_is_behind() {
+    fn gaps_in_a_near_surface_hide_the_surface_behind() {
         let row = [20.0, 20.0, 20.0, 5.0, 20.0, 5.0, 20.0, EMPTY, 5.0, 20.0, 20.0, 20.0, 20.0];
         let seen = [true, true, true, true, false, true, false, false, true, true, true, true, true];
         assert_eq!(shown(&row, 1, 1), seen);
@@ -83,7 +83,7 @@ mod tests {
     /// By the definition, pixel by pixel: the farthest of the nearest depths of all rectangles that contain
     /// the pixel.
     #[test]
-    fn the_surface_in_front_is_the_opening() {
+    fn front_surface_is_the_morphological_opening() {
         let (height, width, radius) = (13_usize, 13_usize, 2_usize);
         let depth = |i: usize| if i % 7 == 3 { EMPTY } else { ((i * 7919) % 97) as f32 + 1.0 };
         let depths: Vec<f32> = (0..height * width).map(depth).collect();

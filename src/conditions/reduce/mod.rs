@@ -55,7 +55,7 @@ mod tests {
     }
 
     #[test]
-    fn valid_area_leaves_empty_pixels_out() {
+    fn valid_area_skips_empty_pixels() {
         let map = [[10, 0, 0], [0, 0, 0], [30, 0, 0], [0, 0, 0], [0, 0, 0], [0, 0, 0]];
         let empty = f32::INFINITY;
         let depth = [1.0, empty, 1.0, empty, empty, empty];

@@ -251,7 +251,7 @@ mod tests {
     use crate::raster::{LineRows, Segment, draw_lines};
 
     #[test]
-    fn spans_give_what_whole_images_give() {
+    fn span_filter_matches_whole_image_filter() {
         let size = |height, width| ImageSize { height, width };
         let segment = |from, to, rgb| Segment { from, to, rgb };
         for (from, to) in [
@@ -281,7 +281,7 @@ mod tests {
     }
 
     #[test]
-    fn a_filter_holds_nothing_of_the_image_before() {
+    fn filters_keep_no_state_between_images() {
         let (from, to) = (ImageSize { height: 30, width: 200 }, ImageSize { height: 10, width: 70 });
         let filter = PilBilinear::new(from, to);
         let white = filter.filter(|_, row| row.fill(0..500, [255; 3]));
@@ -300,7 +300,7 @@ mod tests {
     }
 
     #[test]
-    fn sets_of_columns_hold_what_was_put_in() {
+    fn column_sets_return_inserted_columns() {
         let mut columns = Columns::none(200);
         for range in [[0, 1], [63, 65], [100, 100], [128, 200], [130, 131]] {
             columns.insert(range);

@@ -325,7 +325,7 @@ mod tests {
     }
 
     #[test]
-    fn surround_cameras_stand_in_their_places() {
+    fn surround_cameras_are_arranged_by_direction() {
         let order =
             ["CAM_FRONT", "CAM_FRONT_RIGHT", "CAM_BACK_RIGHT", "CAM_BACK", "CAM_BACK_LEFT", "CAM_FRONT_LEFT"];
         let [column, row] = [6 + GAP, 4 + GAP];

@@ -272,7 +272,7 @@ mod tests {
     }
 
     #[test]
-    fn neighbours_stand_left_and_right_in_the_ring() {
+    fn neighbours_are_left_and_right_in_the_ring() {
         let neighbours = ring_neighbours(&state().cameras);
         // front: left is front_left, right is front_right. The ring closes between front_right and back.
         assert_eq!(neighbours, [[1, 0, 2], [4, 1, 0], [0, 2, 3], [2, 3, 4], [3, 4, 1]]);

@@ -148,7 +148,7 @@ mod tests {
     }
 
     #[test]
-    fn instances_over_16_bits_are_refused() {
+    fn rejects_instances_over_16_bits() {
         let folder = tempfile::tempdir().unwrap();
         let mut set = test_set();
         set.cameras[0].instance.as_mut().unwrap()[3] = 70_000;

@@ -75,7 +75,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn forced_drivers_are_named_with_their_fault() {
+    fn errors_name_forced_drivers_and_their_faults() {
         let folder = tempfile::tempdir().unwrap();
         let at = |name: &str| folder.path().join(name);
         let manifest = |library: &str| {

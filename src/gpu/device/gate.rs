@@ -108,7 +108,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn only_calls_through_a_layer_keep_creation_waiting() {
+    fn only_calls_through_a_layer_block_creation() {
         const SOON: Duration = Duration::from_millis(50);
         let (sender, receiver) = mpsc::channel();
         let share = Share::new(true);
@@ -126,7 +126,7 @@ mod tests {
 
     #[test]
     #[cfg(debug_assertions)]
-    fn a_second_share_of_a_thread_is_a_mistake() {
+    fn a_second_share_on_a_thread_panics() {
         let nested = thread::spawn(|| {
             let _share = Share::new(true);
             Share::new(true).is_some()

@@ -66,7 +66,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn devices_are_known_by_uuid_and_address() {
+    fn devices_match_by_uuid_and_address() {
         let uuid = core::array::from_fn(|i| 0x10 + i as u8);
         let device = DeviceIdentity { uuid: Some(uuid), pci: Some([0, 0x65, 0, 1]) };
         for text in [

@@ -90,7 +90,7 @@ mod tests {
     }
 
     #[test]
-    fn the_best_is_taken_unless_named() {
+    fn selects_the_best_device_unless_one_is_named() {
         let all = candidates();
         let take = |wanted| choose(&all, wanted).unwrap();
         assert_eq!([take(None), take(Some("LLVM")), take(Some("3")), take(Some("rtx"))], [2, 0, 3, 2]);
@@ -99,7 +99,7 @@ mod tests {
     }
 
     #[test]
-    fn an_unusable_device_is_never_taken() {
+    fn never_selects_an_unusable_device() {
         let mut all = candidates();
         all[2].usable = false;
         assert_eq!(choose(&all, None).unwrap(), 3);
@@ -107,7 +107,7 @@ mod tests {
     }
 
     #[test]
-    fn errors_list_what_there_is() {
+    fn errors_list_the_available_devices() {
         let text = choose(&candidates(), Some("radeon")).unwrap_err().to_string();
         assert!(text.contains("\"radeon\"") && text.contains("1: Graphics 770"), "{text}");
         assert!(choose(&[], None).unwrap_err().to_string().contains("found no device"));

@@ -208,7 +208,7 @@ mod tests {
     }
 
     #[test]
-    fn usual_reductions_are_walked_once() {
+    fn common_reductions_resolve_in_one_walk() {
         for (from, to) in [(1600, 448), (900, 256), (1600, 400), (900, 224), (1080, 448), (1920, 896)] {
             assert!(reduction(from, to).joint(), "{from} {to}");
         }

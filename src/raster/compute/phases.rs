@@ -95,7 +95,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn rows_are_cut_where_they_do_not_follow() {
+    fn runs_end_at_gaps_and_page_ends() {
         assert_eq!(neighbours(&[3, 4, 5, 7, 8, 9], 8), [(0, 3), (3, 1), (4, 2)]);
         assert_eq!(neighbours(&[], 8), []);
     }

@@ -235,7 +235,7 @@ mod tests {
     }
 
     #[test]
-    fn every_thread_gets_its_share() {
+    fn items_are_dealt_to_all_threads() {
         assert_eq!(dealt(&[0, 1, 2, 3, 4], 2), [0, 2, 4, 1, 3]);
         assert_eq!(dealt(&[0, 1], 1), [0, 1]);
         assert!(dealt::<u8>(&[], 3).is_empty());

@@ -293,7 +293,7 @@ mod tests {
     use crate::cloud::Point;
 
     #[test]
-    fn the_rows_used_longest_ago_go_first() {
+    fn least_recently_drawn_rows_are_evicted_first() {
         let points = vec![Point::default(); 5 * CHUNK];
         let clouds = [ChunkedCloud::new(&points[..2 * CHUNK]), ChunkedCloud::new(&points[2 * CHUNK..])];
         let mut residency = Residency::new(&clouds, 3);

@@ -109,7 +109,7 @@ mod tests {
 
     /// What is said to be hidden is, pixel by pixel, and dense surfaces do hide.
     #[test]
-    fn no_pixel_shows_what_is_hidden() {
+    fn hidden_points_show_in_no_pixel() {
         let window = Window { width: 60, rows: [10, 51], pad: 3 };
         let size = [window.stride() as u32, window.height() as u32];
         let mut counts = [[0; 2]; 2];

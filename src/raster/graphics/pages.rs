@@ -216,7 +216,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn clouds_are_cut_at_the_ends_of_pages() {
+    fn clouds_are_split_at_page_ends() {
         let slice = |page, first, count, first_in_cloud| Slice { page, first, count, first_in_cloud };
         let expected = vec![
             vec![slice(0, 0, 3, 0)],
@@ -228,7 +228,7 @@ mod tests {
     }
 
     #[test]
-    fn clouds_read_as_one() {
+    fn concatenated_clouds_read_as_one_stream() {
         let cloud = |n: u32| -> Vec<Point> {
             (0..n).map(|i| Point { rgb_class: n * 100 + i, ..Point::default() }).collect()
         };

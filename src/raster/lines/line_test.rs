@@ -131,20 +131,20 @@ mod tests {
     }
 
     #[test]
-    fn ends_inside_stay_as_they_are() {
+    fn ends_inside_are_unchanged() {
         let line = test([10.0, 20.0], [13.0, 24.0]).unwrap();
         assert_eq!((line.from, line.length, line.along), ([10.0, 20.0], 5.0, [0.6, 0.8]));
     }
 
     #[test]
-    fn far_ends_are_cut_outside_of_the_image() {
+    fn far_ends_are_clipped_outside_the_image() {
         let line = test([-1e30, 25.0], [1e30, 25.0]).unwrap();
         assert_eq!((line.from, line.length), ([-6.0, 25.0], 112.0));
         assert!(line.covers(0.5, 28.5) && line.covers(99.5, 21.5) && !line.covers(50.5, 29.5));
     }
 
     #[test]
-    fn what_cannot_be_drawn_is_none() {
+    fn undrawable_segments_are_none() {
         assert_eq!(test([5.0, 5.0], [5.0, 5.0]), None);
         assert_eq!(test([-50.0, 5.0], [-10.0, 5.0]), None);
         assert_eq!(test([f32::NAN, 5.0], [9.0, 5.0]), None);

@@ -139,7 +139,7 @@ mod tests {
     }
 
     #[test]
-    fn rows_hold_what_the_test_of_each_pixel_says() {
+    fn rows_match_the_per_pixel_test() {
         let state = &mut 3;
         let mut covered = 0;
         for round in 0..400 {
@@ -171,7 +171,7 @@ mod tests {
     }
 
     #[test]
-    fn rows_may_be_left_out() {
+    fn rows_may_be_skipped() {
         let size = ImageSize { height: 60, width: 60 };
         let line = |from, to, rgb| Segment { from, to, rgb };
         let segments = [
@@ -189,7 +189,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_is_black() {
+    fn no_segments_and_invalid_widths_are_black() {
         let size = ImageSize { height: 3, width: 4 };
         assert_eq!(draw_lines(&[], size, 8.0), [[0; 3]; 12]);
         let segment = Segment { from: [0.0; 2], to: [4.0, 3.0], rgb: [9; 3] };

@@ -207,7 +207,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn only_listed_runs_stay_in_the_folder() {
+    fn unlisted_runs_are_deleted() {
         let folder = tempfile::tempdir().unwrap();
         let plan = Plan { version: "1".to_owned(), options: BuildOptions::default(), logs: Vec::new() };
         let (mut unfinished, mut done) = Unfinished::open(&folder.path().join("sk"), plan, false).unwrap();

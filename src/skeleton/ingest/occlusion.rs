@@ -127,7 +127,7 @@ mod tests {
     }
 
     #[test]
-    fn a_sparse_wall_hides_what_is_behind_and_nothing_beside() {
+    fn a_sparse_wall_hides_points_behind_it_but_not_beside_it() {
         let map = wall();
         let hides =
             |column: f64, depth| map.hides(DVec2::new(column + 0.5, 50.5) * f64::from(CELL_PX), depth);

@@ -169,7 +169,7 @@ mod tests {
     /// Pixels of many points equal the pixels of each, bit for bit, with and without a lens, also for points
     /// that are not finite.
     #[test]
-    fn pixels_of_many_points_are_those_of_each() {
+    fn batch_projection_matches_single_points() {
         let distortion = Distortion::from_opencv([-0.28, 0.071, 0.0011, -0.0007, -0.0079]);
         let place = DAffine3::from_rotation_y(0.2) * DAffine3::from_translation(DVec3::new(1e5, 1.0, 2.0));
         for camera in [camera(), Camera { distortion, ..camera() }] {

@@ -228,7 +228,7 @@ mod tests {
     }
 
     #[test]
-    fn a_damaged_run_is_named() {
+    fn errors_name_a_damaged_run() {
         let folder = tempfile::tempdir().unwrap();
         let names = push(folder.path(), Vec::new(), cells(3)).unwrap();
         let path = names[0].sums(folder.path());
@@ -238,7 +238,7 @@ mod tests {
     }
 
     #[test]
-    fn a_changed_byte_of_a_run_is_found_when_its_cell_is_read() {
+    fn a_changed_byte_in_a_run_is_detected_when_its_cell_is_read() {
         let folder = tempfile::tempdir().unwrap();
         let names = push(folder.path(), Vec::new(), cells(3)).unwrap();
         let path = names[0].sums(folder.path());

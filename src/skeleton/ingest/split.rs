@@ -255,7 +255,7 @@ mod tests {
     proptest! {
         /// The tree gives the same result as a scan of all boxes, in any order.
         #[test]
-        fn the_tree_finds_what_a_look_at_all_boxes_finds(
+        fn tree_search_matches_a_scan_of_all_boxes(
             boxes in prop::collection::vec(any_box(), 0..40),
             offsets in prop::collection::vec(prop::array::uniform3(-3.0..14.0_f64), 1..60),
             snapped: bool,
@@ -276,7 +276,7 @@ mod tests {
     }
 
     #[test]
-    fn of_equal_boxes_the_first_wins() {
+    fn first_of_equal_boxes_wins() {
         let cuboid = Cuboid::new(Pose::from_yaw(0.0, DVec3::ZERO), DVec3::splat(2.0)).unwrap();
         let splitter = splitter_of(&[(cuboid, DVec3::ZERO); 20]);
         let part = splitter.part(DVec3::splat(0.25), true);
@@ -284,7 +284,7 @@ mod tests {
     }
 
     #[test]
-    fn points_and_boxes_that_are_nowhere_are_looked_at_as_before() {
+    fn non_finite_points_and_boxes_match_a_scan_of_all_boxes() {
         let cuboid = Cuboid::new(Pose::from_yaw(0.0, DVec3::ZERO), DVec3::splat(2.0)).unwrap();
         let nowhere = Cuboid { pose: Pose::from_yaw(0.0, DVec3::NAN), size: DVec3::splat(2.0) };
         let splitter = splitter_of(&[(nowhere, DVec3::ZERO), (cuboid, DVec3::X)]);
@@ -322,7 +322,7 @@ mod tests {
     }
 
     #[test]
-    fn what_a_moving_car_sweeps_over_is_no_background() {
+    fn points_swept_by_a_moving_car_are_not_background() {
         let (parked, moving) = (splitter(0.0), splitter(10.0));
         let ahead = DVec3::new(2.1 + 10.0 * 0.15 - 0.01, 0.0, 1.0);
         let behind = DVec3::new(-2.1 - 10.0 * 0.2 + 0.01, 1.0, 0.3);
@@ -336,7 +336,7 @@ mod tests {
     }
 
     #[test]
-    fn a_second_lidar_counts_for_parked_cars_alone() {
+    fn a_second_lidar_counts_only_for_parked_cars() {
         let inside = DVec3::new(0.0, 0.0, 1.0);
         assert!(matches!(splitter(0.0).part(inside, false), Part::Actor { .. }));
         assert_eq!(splitter(10.0).part(inside, false), Part::Ghost);

@@ -134,7 +134,7 @@ mod tests {
     }
 
     #[test]
-    fn without_voxels_all_points_stay_in_their_order() {
+    fn without_voxels_points_keep_their_order() {
         let voxels = Voxels { side_m: 0.0 };
         let at = |i: u64| DVec3::new(31.9 - i as f64, -20.0, 1e-4);
         let sums: Vec<VoxelSum> = (0..30).rev().map(|i| voxels.sum(at(i), [i as u8; 3], i)).collect();

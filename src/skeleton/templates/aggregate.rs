@@ -244,7 +244,7 @@ mod tests {
     }
 
     #[test]
-    fn planted_outliers_are_removed_and_nothing_else() {
+    fn only_outliers_are_removed() {
         let (asset, mut points) = shell("a", "human.pedestrian.adult", [0.7, 0.7, 1.75], 0.02);
         let surface = points.len();
         let outlier = |i: i32| [-0.2 + 0.1 * i as f32, 0.0, 0.05 * i as f32];
@@ -257,7 +257,7 @@ mod tests {
     }
 
     #[test]
-    fn what_one_actor_alone_has_goes_where_there_are_others_enough() {
+    fn features_of_a_single_actor_are_dropped_if_there_are_enough_actors() {
         let ladder = |i: i32| Point::new([0.01 * i as f32, 0.3, 1.2], [0; 3], 1);
         let cars = |count: usize| {
             let mut cars: Vec<_> =
@@ -277,7 +277,7 @@ mod tests {
     }
 
     #[test]
-    fn pedestrians_are_not_mirrored_and_few_points_give_none() {
+    fn pedestrians_are_not_mirrored_and_few_points_give_no_template() {
         let (asset, mut points) = shell("a", "pedestrian", [0.7, 0.7, 1.75], 0.02);
         points.retain(|p| p.position[1] > 0.0);
         let (templates, _) = made(&[(asset.clone(), points.clone())], TemplateOptions::default());
@@ -287,7 +287,7 @@ mod tests {
     }
 
     #[test]
-    fn of_trucks_only_the_cluster_with_the_most_actors_counts() {
+    fn trucks_use_only_the_cluster_with_the_most_actors() {
         let (long, lone, tiny) = ([9.0, 2.5, 3.2], [12.0, 2.6, 3.8], [5.5, 2.0, 1.9]);
         let sizes = [lone, long, long, tiny, tiny, tiny];
         let mut trucks: Vec<_> = sizes.map(|size| shell("a", "vehicle.truck", size, 0.06)).into();
@@ -307,7 +307,7 @@ mod tests {
     }
 
     #[test]
-    fn points_stay_below_the_most() {
+    fn points_stay_below_the_maximum() {
         let (asset, points) = shell("a", "vehicle.bus.rigid", [12.0, 2.5, 3.0], 0.06);
         let options = TemplateOptions { max_points: 3000, ..TemplateOptions::default() };
         let (templates, summary) = made(&[(asset, points)], options);

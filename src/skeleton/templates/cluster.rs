@@ -126,7 +126,7 @@ mod tests {
     }
 
     #[test]
-    fn equal_and_few_sizes_do_no_harm() {
+    fn equal_and_few_sizes_are_clustered() {
         let options = TemplateOptions { size_spread: 0.0, ..TemplateOptions::default() };
         let car = (Family::Car, DVec3::new(4.0, 2.0, 1.5));
         assert!(clusters(&[], &options).is_empty());

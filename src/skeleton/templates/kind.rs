@@ -127,7 +127,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn cars_are_told_apart_by_height() {
+    fn cars_are_distinguished_by_height() {
         let kind =
             |category: &str, height_m: f64| TemplateKind::of_actor(category, DVec3::new(4.5, 1.9, height_m));
         assert_eq!(kind("vehicle.car", 1.79), Some(TemplateKind::Sedan));
@@ -141,7 +141,7 @@ mod tests {
     }
 
     #[test]
-    fn length_tells_only_where_the_category_does_not() {
+    fn length_decides_only_if_the_category_does_not() {
         let kind = |category: &str, size: [f64; 3]| TemplateKind::of_actor(category, size.into());
         assert_eq!(kind("vehicle", [12.0, 3.0, 3.3]), Some(TemplateKind::Bus));
         assert_eq!(kind("vehicle", [7.0, 2.5, 2.8]), Some(TemplateKind::Truck));
@@ -152,7 +152,7 @@ mod tests {
     }
 
     #[test]
-    fn names_go_there_and_back() {
+    fn names_round_trip() {
         for (name, kind) in TemplateKind::NAMES {
             assert_eq!((kind.name(), name.parse()), (name, Ok(kind)));
         }

@@ -61,7 +61,7 @@ mod tests {
     }
 
     #[test]
-    fn points_far_out_do_no_harm() {
+    fn far_points_do_not_overflow() {
         let far = [[1e30, 0.0, 0.0], [1e30, 0.0, 0.0], [f32::MIN, 0.0, 0.0], [0.0; 3]];
         assert_eq!(poisson_thin(far, 0.01), [0, 2, 3]);
     }

@@ -194,7 +194,7 @@ mod tests {
     }
 
     #[test]
-    fn rows_are_compared_scene_by_scene() {
+    fn rows_are_compared_per_scene() {
         let rows = [row("a"), row("b")];
         let results =
             [result("x", "a", 20.0), result("x", "b", 19.0), result("y", "a", 24.0), result("y", "b", 23.0)];

@@ -186,7 +186,7 @@ mod tests {
     }
 
     #[test]
-    fn frames_one_after_the_other() {
+    fn frames_run_sequentially_with_one_in_flight() {
         let (measured, diary, left) = run(Plan { warm_up: 3, timed: 3, in_flight: 1 }, MapSet::SPLATTED);
         // The timed frames start with the first job.
         assert_eq!((diary.as_str(), left), ("b1 f1 b2 f2 b1 f1 b1 f1 b2 f2 b1 f1", 0));
@@ -201,7 +201,7 @@ mod tests {
     }
 
     #[test]
-    fn two_frames_overlap_and_every_time_has_one_begin_and_one_end() {
+    fn two_frames_in_flight_overlap() {
         let (measured, diary, left) = run(Plan { warm_up: 1, timed: 2, in_flight: 2 }, MapSet::SPLATTED);
         assert_eq!((diary.as_str(), left), ("b1 b1 f1 b2 f1 b1 f2 f1", 0));
         assert_eq!((measured.frames.len(), measured.filled), (2, Some(2)));
@@ -210,7 +210,7 @@ mod tests {
     }
 
     #[test]
-    fn without_depth_nothing_is_counted() {
+    fn filled_pixels_are_unknown_without_depth() {
         let color = "color".parse().unwrap();
         let (measured, diary, _) = run(Plan { warm_up: 0, timed: 1, in_flight: 1 }, color);
         assert_eq!((diary.as_str(), measured.filled), ("b1 f1", None));

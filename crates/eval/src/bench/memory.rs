@@ -14,7 +14,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_peak_is_found_among_the_lines() {
+    fn parses_peak_memory() {
         let status = "Name:\tpskel\nVmPeak:\t  999 kB\nVmHWM:\t   81416 kB\nVmRSS:\t   10 kB\n";
         assert_eq!(peak_of_status(status), Some(81_416 * 1024));
         for text in
@@ -26,7 +26,7 @@ mod tests {
 
     #[cfg(target_os = "linux")]
     #[test]
-    fn this_process_holds_something() {
+    fn peak_memory_exceeds_one_mebibyte() {
         assert!(peak_rss_bytes().unwrap() > 1 << 20);
     }
 }

@@ -61,7 +61,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn layouts_need_whole_steps() {
+    fn layouts_and_tensors_need_whole_steps() {
         for (maps, whole) in [("color,point", false), ("map", true), ("depth,boxes", true), ("tensor", true)]
         {
             assert_eq!(BenchOptions::has_whole_steps(maps.parse().unwrap()), whole, "{maps}");

@@ -156,7 +156,7 @@ mod tests {
     }
 
     #[test]
-    fn the_median_is_the_middle_or_between_the_two_in_the_middle() {
+    fn computes_min_median_and_max() {
         let spread = |values: &[f64]| {
             let Spread { min, median, max } = Spread::of(values.iter().copied());
             [min, median, max]
@@ -168,7 +168,7 @@ mod tests {
     }
 
     #[test]
-    fn figures_of_frames() {
+    fn summarizes_frame_and_stage_times() {
         let frames = [
             frame(100, &[("splat", 60), ("copy", 30)]),
             frame(300, &[("splat", 80)]),

@@ -103,7 +103,7 @@ mod tests {
     }
 
     #[test]
-    fn stages_follow_each_other_from_the_begin_of_their_frame() {
+    fn stages_are_laid_out_from_frame_start() {
         let found = bars(&[frame(0, 50), frame(60, 100)], 1);
         let bar = |name: &str, track, start, length| (name.to_owned(), track, start, length);
         let expected = [
@@ -118,14 +118,14 @@ mod tests {
     }
 
     #[test]
-    fn frames_that_overlap_stand_on_two_tracks() {
+    fn overlapping_frames_use_two_tracks() {
         let found = bars(&[frame(0, 50), frame(30, 80), frame(60, 110)], 2);
         let tracks: Vec<u64> = found.iter().filter(|b| b.0.starts_with("frame")).map(|b| b.1).collect();
         assert_eq!(tracks, [1, 2, 1]);
     }
 
     #[test]
-    fn traces_have_their_mark() {
+    fn only_own_traces_are_overwritten() {
         let folder = tempfile::tempdir().unwrap();
         let open = || OutputFile::open(&folder.path().join("t.json"), TRACE, &Inputs::default());
         write(&open().unwrap(), &[frame(0, 50)], 1, &["a", "b"].map(String::from)).unwrap();

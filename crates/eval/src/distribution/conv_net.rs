@@ -146,7 +146,7 @@ mod tests {
     }
 
     #[test]
-    fn features_are_those_of_another_librarys_convolutions() {
+    fn features_match_candle() {
         let net = RandomConvNet::new(3);
         for (width, height) in [(56, 32), (17, 9), (1, 1)] {
             let image = image(width, height);
@@ -159,7 +159,7 @@ mod tests {
     }
 
     #[test]
-    fn features_follow_from_seed_and_image() {
+    fn features_depend_on_seed_and_image() {
         let (image, other) = (image(56, 32), RgbImage::from_pixel(56, 32, image::Rgb([9; 3])));
         let net = RandomConvNet::new(1);
         let features = net.features(&image).unwrap();

@@ -98,7 +98,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn rows_are_of_one_length() {
+    fn rejects_rows_of_another_length() {
         assert_eq!(FeatureSet::new(2, vec![1.0; 3]), None);
         assert_eq!(FeatureSet::new(0, vec![1.0]), None);
         let mut set = FeatureSet::new(2, vec![1.0, 2.0, 3.0, 4.0]).unwrap();
@@ -111,7 +111,7 @@ mod tests {
     }
 
     #[test]
-    fn windows_by_hand() {
+    fn computes_window_features() {
         // The first feature rises by 2 per frame, the second alternates, the third is constant.
         let frame = |i: usize| vec![2.0 * i as f64, (i % 2) as f64, 7.0];
         let mut frames: Vec<Option<Vec<f64>>> = (0..17).map(|i| Some(frame(i))).collect();

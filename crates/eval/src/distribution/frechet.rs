@@ -174,7 +174,7 @@ mod tests {
     }
 
     #[test]
-    fn diagonal_gaussians_by_hand() {
+    fn distance_of_diagonal_gaussians() {
         let (a, b) = (corners([0.0; 3], [1.0, 2.0, 3.0]), corners([1.0, -2.0, 0.5], [2.0, 2.0, 0.0]));
         // |m|² plus the squared differences of standard deviations, which are sqrt(8/7) times the half sides.
         let expected = (1.0 + 4.0 + 0.25) + (1.0 + 0.0 + 9.0) * 8.0 / 7.0;
@@ -184,7 +184,7 @@ mod tests {
     }
 
     #[test]
-    fn both_ways_are_the_same_number() {
+    fn both_methods_agree() {
         let wave = |rows: usize, phase: f64| {
             let value = |i: usize| ((i * i) as f64 * 0.37 + phase).sin() * (1.0 + (i % 5) as f64);
             Moments::new(&FeatureSet::new(5, (0..rows * 5).map(value).collect()).unwrap())
@@ -198,7 +198,7 @@ mod tests {
     }
 
     #[test]
-    fn fewer_rows_than_features_by_hand() {
+    fn distance_with_fewer_rows_than_features() {
         // Two rows of four features each, so each set varies along one direction.
         let a = FeatureSet::new(4, vec![3.0, 0.0, 0.0, 0.0, -3.0, 0.0, 0.0, 0.0]).unwrap();
         let b = FeatureSet::new(4, vec![0.0, 2.0, 0.0, 0.0, 0.0, -2.0, 0.0, 0.0]).unwrap();
@@ -210,7 +210,7 @@ mod tests {
     }
 
     #[test]
-    fn sets_without_a_distance() {
+    fn rejects_invalid_feature_sets() {
         let (one, two) =
             (FeatureSet::new(2, vec![1.0; 2]).unwrap(), FeatureSet::new(2, vec![1.0; 4]).unwrap());
         assert_eq!(frechet_distance(&one, &two), Err(FrechetError::Rows(1, 2)));

@@ -302,7 +302,7 @@ mod tests {
 
     /// Ground truth against itself: every IoU is 1, color and depth errors are 0.
     #[test]
-    fn truth_is_true() {
+    fn ground_truth_scores_perfectly_against_itself() {
         let seen = truth();
         let maps = TrueMaps::new(&seen, ImageSize { height: 2, width: 4 });
         let map = CameraConditions {
@@ -325,7 +325,7 @@ mod tests {
 
     /// One pixel of the near car has the number of the far one, and one pedestrian is missing.
     #[test]
-    fn masks_by_hand() {
+    fn computes_mask_ious() {
         let maps = TrueMaps::new(&truth(), ImageSize { height: 2, width: 4 });
         let map = CameraConditions {
             class: Some(vec![0, 1, 1, 0, 1, 3, 4, 1]),
@@ -341,7 +341,7 @@ mod tests {
     }
 
     #[test]
-    fn a_point_is_within_an_area_or_not() {
+    fn point_in_area_test() {
         let corners = [[0.0, 0.0], [4.0, 0.0], [4.0, 4.0], [2.0, 1.0], [0.0, 4.0]];
         let area = Area { exterior: corners.map(DVec2::from).to_vec(), holes: Vec::new() };
         let within = |x, y| is_within(&area, DVec2::new(x, y));

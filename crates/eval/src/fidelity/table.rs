@@ -107,7 +107,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn tables_have_all_cells() {
+    fn formats_csv_and_markdown() {
         let cells = vec![vec!["a".to_owned(), "bcd".to_owned()], vec!["ef".to_owned(), "1".to_owned()]];
         assert_eq!(csv(&cells), "a,bcd\nef,1\n");
         assert_eq!(markdown(&cells), "| a | bcd |\n|---|---|\n| ef | 1 |\n");

@@ -62,7 +62,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn numbers_by_hand() {
+    fn computes_error_on_filled_pixels() {
         let map = [[0, 0, 0], [10, 10, 10], [20, 20, 26]];
         let truth = [[9, 9, 9], [10, 10, 10], [20, 24, 20]];
         let error = compare_filled(&map, &truth);
@@ -73,7 +73,7 @@ mod tests {
     }
 
     #[test]
-    fn ratios_by_hand() {
+    fn computes_psnr() {
         let image = |level: u8| RgbImage::from_pixel(3, 2, image::Rgb([level, 7, 9]));
         // One of three channels has an error of 6, so the mean squared error is 12.
         let expected = 10.0 * (65025.0_f64 / 12.0).log10();
@@ -84,7 +84,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_filled_is_no_number() {
+    fn errors_are_nan_without_filled_pixels() {
         let error = compare_filled(&[[0; 3]], &[[1; 3]]);
         assert!(error.psnr_db.is_nan() && error.median_abs.is_nan());
         assert_eq!(error.filled, 0.0);

@@ -156,7 +156,7 @@ mod tests {
     }
 
     #[test]
-    fn copies_move_frozen_images_stand_and_noise_flickers() {
+    fn separates_motion_from_flicker() {
         let copy = motion(|frame| truth(frame).0);
         assert_eq!((copy.slope, copy.flicker), (Some(1.0), Some(1.0)));
         // Two of six columns are newly covered, two are uncovered, four remain: eight in all.
@@ -177,7 +177,7 @@ mod tests {
     }
 
     #[test]
-    fn what_does_not_change_has_no_number() {
+    fn static_ground_truth_has_no_ratios() {
         assert_eq!(MotionSums::default().finish(), None);
         let still = RgbImage::new(2, 1);
         let frame = MovingFrame { generated: &still, truth: &still, moving: &[false, true] };

@@ -76,7 +76,7 @@ mod tests {
     }
 
     #[test]
-    fn ramps_have_no_seams_and_blocks_have() {
+    fn blocks_have_seams_and_ramps_have_none() {
         let ratio = |image: &RgbImage, side| SeamSums::of(image, side).ratio();
         let ramp = gray(|x, y| (5 * x + 3 * y) as u8);
         assert!(ratio(&ramp, 4).is_some_and(|ratio| (ratio - 1.0).abs() < 1e-12));

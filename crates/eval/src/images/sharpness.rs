@@ -23,7 +23,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn ramps_have_their_slope() {
+    fn sharpness_of_a_ramp_is_its_slope() {
         let ramp = RgbImage::from_fn(9, 7, |x, y| image::Rgb([(3 * x + 4 * y) as u8; 3]));
         assert!((sharpness(&ramp).unwrap() - 5.0).abs() < 1e-12);
         let green = RgbImage::from_fn(9, 7, |x, _| image::Rgb([0, 10 * x as u8, 0]));

@@ -74,7 +74,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn equal_images_are_similar_and_small_ones_have_no_number() {
+    fn equal_images_have_ssim_1_and_small_images_have_none() {
         let image = RgbImage::from_fn(16, 12, |x, y| image::Rgb([7 * x as u8, 9 * y as u8, (x * y) as u8]));
         assert!((ssim(&image, &image).unwrap() - 1.0).abs() < 1e-12);
         assert_eq!(ssim(&image, &RgbImage::new(12, 16)), None);
@@ -83,7 +83,7 @@ mod tests {
     }
 
     #[test]
-    fn flat_images_differ_by_their_means_alone() {
+    fn flat_images_differ_only_in_their_means() {
         let flat = |level: u8| RgbImage::from_pixel(20, 20, image::Rgb([level; 3]));
         let (a, b) = (40.0, 90.0);
         let expected = (2.0 * a * b + C1) / (a * a + b * b + C1);

@@ -132,7 +132,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn curves_are_lines_with_names_and_the_same_bytes() {
+    fn svg_has_named_curves_and_is_deterministic() {
         let curve = |name: &str, points: &[[f64; 2]], is_faint| Curve {
             name: name.to_owned(),
             points: points.to_vec(),

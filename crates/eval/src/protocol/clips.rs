@@ -155,7 +155,7 @@ mod tests {
     }
 
     #[test]
-    fn logs_that_end_with_the_references_are_refused() {
+    fn rejects_logs_without_generated_frames() {
         // Three frames at 6 Hz take 0.33 s.
         let six = &Protocol::NuscenesVal.parts()[0];
         let short = |log: &Recording| six.clips(log, Rates::NUSCENES, 3).unwrap_err().to_string();
@@ -167,7 +167,7 @@ mod tests {
     }
 
     #[test]
-    fn scenes_of_nuscenes_have_one_clip_a_part() {
+    fn nuscenes_scenes_have_one_clip_per_part() {
         // Annotations at 2 Hz, and those at 12 Hz of the same scene.
         for (frames, hz, every, steps) in [(40, 2, 1, 52), (240, 12, 6, 26)] {
             let log = log(frames, hz);

@@ -148,7 +148,7 @@ mod tests {
 
     /// A part is compared with a part that is before it, follows the log and has its rates.
     #[test]
-    fn references_are_parts_that_follow_the_log() {
+    fn reference_parts_follow_the_log() {
         for protocol in Protocol::ALL {
             let parts = protocol.parts();
             for (place, part) in parts.iter().enumerate() {

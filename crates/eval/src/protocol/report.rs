@@ -190,7 +190,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn tables_say_whether_all_logs_are_there() {
+    fn table_states_missing_logs() {
         let sentence = |defined, present, other| Logs { defined, present, other }.sentence();
         assert_eq!([sentence(0, 0, 1), sentence(0, 0, 3)], ["One log.", "3 logs."]);
         assert_eq!(sentence(10, 10, 0), "All 10 logs of the protocol.");

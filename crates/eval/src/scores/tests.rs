@@ -54,7 +54,7 @@ fn score(steps: u32, generated: impl Fn(u32) -> Vec<RgbImage>) -> (Scores, Colle
 }
 
 #[test]
-fn copies_of_the_truth_are_perfect() {
+fn ground_truth_copies_score_perfectly() {
     let (scores, features) = score(17, |step| truth(step).0);
     assert_eq!((scores.steps, scores.cameras, scores.steps_with_truth, scores.equal_images), (17, 2, 17, 34));
     assert_eq!(scores.psnr_db.mean, None);
@@ -80,7 +80,7 @@ fn copies_of_the_truth_are_perfect() {
 }
 
 #[test]
-fn images_that_fade_drift() {
+fn fading_images_drift() {
     let (scores, features) = score(9, |step| faded(&truth(step).0, step));
     let slope = |series: &Series| series.drift.unwrap().slope_per_s;
     assert!(slope(&scores.psnr_db) < 0.0 && slope(&scores.ssim) < 0.0 && slope(&scores.sharpness) < 0.0);
@@ -94,7 +94,7 @@ fn images_that_fade_drift() {
 }
 
 #[test]
-fn rollouts_are_taken_together() {
+fn features_of_rollouts_are_pooled() {
     let ((_, one), (_, other)) = (score(4, |step| truth(step).0), score(3, |step| faded(&truth(step).0, 9)));
     let mut all = CollectedFeatures::default();
     assert!(all.append(&one) && all.append(&other));
@@ -105,7 +105,7 @@ fn rollouts_are_taken_together() {
 }
 
 #[test]
-fn without_the_truth_some_numbers_are_missing() {
+fn metrics_are_missing_without_ground_truth() {
     let mut scores = RolloutScores::new(RandomConvNet::new(1));
     for step in 0..4 {
         let images = truth(step).0;
@@ -131,7 +131,7 @@ fn without_the_truth_some_numbers_are_missing() {
 }
 
 #[test]
-fn other_sizes_are_refused() {
+fn rejects_size_changes() {
     let mut scores = RolloutScores::new(RandomConvNet::new(1));
     let (images, masks) = truth(0);
     let frame =

@@ -45,7 +45,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn masks_by_hand() {
+    fn computes_iou() {
         let mut overlap = Overlap::default();
         assert_eq!(overlap.iou(), None);
         let (a, b) = ([1, 1, 2, 0, 0], [7, 0, 7, 7, 0]);

@@ -246,7 +246,7 @@ mod tests {
     }
 
     #[test]
-    fn cars_are_found_in_images_that_were_not_seen() {
+    fn finds_cars_in_unseen_images() {
         let options = PatchOptions { trees: 20, ..PatchOptions::default() };
         let mut trainer = PatchTrainer::new(options);
         (0..6).map(scene).for_each(|(image, mask)| trainer.add(&image, &mask));
@@ -267,7 +267,7 @@ mod tests {
     }
 
     #[test]
-    fn one_kind_of_pixels_is_not_enough() {
+    fn training_needs_both_classes() {
         let mut trainer = PatchTrainer::new(PatchOptions::default());
         let none = PatchClassifierError::Pixels { vehicles: 0, others: 0 };
         assert_eq!(trainer.train().unwrap_err(), none);
@@ -277,7 +277,7 @@ mod tests {
     }
 
     #[test]
-    fn thresholds_by_hand() {
+    fn picks_threshold_with_best_iou() {
         // Threshold between 0.8 and 0.4: two of three vehicles and nothing else. A third would cost pixels of
         // weight 4.
         let judged = vec![

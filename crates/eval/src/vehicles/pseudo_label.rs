@@ -38,7 +38,7 @@ mod tests {
     }
 
     #[test]
-    fn masks_by_hand() {
+    fn closing_fills_small_gaps() {
         // Sparse points become an area; lines, specks and edges remain as they are; other classes are none.
         let sparse = ["1010100", "0000000", "1010100", "0000002", "1010103"];
         assert_eq!(mask(sparse), ["1111100"; 5]);

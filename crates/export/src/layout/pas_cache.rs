@@ -88,7 +88,7 @@ mod tests {
 
     /// Each image is in the cache once, with the maps of the nearest frame.
     #[test]
-    fn images_of_two_frames_belong_to_the_nearer_one() {
+    fn images_belong_to_the_nearest_frame() {
         let of = |t_us| nearest(t_us, [(4, 1_000_000), (5, 1_050_000), (6, 1_100_000)].into_iter());
         assert_eq!(
             [of(999_000), of(1_024_999), of(1_025_001), of(1_090_000)].map(Option::unwrap),

@@ -66,7 +66,7 @@ mod tests {
 
     /// The six cameras of nuScenes, in ring order.
     #[test]
-    fn cameras_get_the_slot_that_looks_their_way() {
+    fn cameras_get_the_nearest_slot() {
         let rig: Vec<RigCamera> = [0.0, -56.0, -110.0, 180.0, 108.0, 55.0].map(camera).into();
         let expected = [
             "front:wide:120",

@@ -34,7 +34,7 @@ fn record() -> ShardRecord {
 }
 
 #[test]
-fn a_shard_appears_whole_and_is_found_again() {
+fn shards_are_published_atomically() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path();
     let find = |verify| ShardRecord::read(out, &unit(), Some(&input()), verify).unwrap();
@@ -64,7 +64,7 @@ fn a_shard_appears_whole_and_is_found_again() {
 }
 
 #[test]
-fn shards_of_another_input_are_not_taken() {
+fn rejects_shards_of_another_input() {
     let folder = tempfile::tempdir().unwrap();
     let mut shard = Shard::begin(folder.path(), &unit()).unwrap();
     shard.put("1.png", b"abc").unwrap();
@@ -86,7 +86,7 @@ fn shards_of_another_input_are_not_taken() {
 
 /// Another process may have found no shard before this one began its first.
 #[test]
-fn shards_are_not_published_beside_other_options() {
+fn rejects_publishing_with_other_options() {
     let (folder, other) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
     let out = folder.path();
     claim::claim(out, &options(2), &Inputs::default()).unwrap();
@@ -101,7 +101,7 @@ fn shards_are_not_published_beside_other_options() {
 }
 
 #[test]
-fn records_without_files_or_of_others_are_not_complete() {
+fn records_need_their_files() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("shards/a-000000.json");
     std::fs::create_dir(folder.path().join("shards")).unwrap();

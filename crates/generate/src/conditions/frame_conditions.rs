@@ -124,7 +124,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn each_part_is_dropped_on_its_own() {
+    fn parts_are_dropped_independently() {
         let size = ImageSize { height: 2, width: 3 };
         let whole = FrameConditions {
             size,

@@ -71,7 +71,7 @@ mod tests {
 
     /// As recipes in JSON; every window divides its steps.
     #[test]
-    fn presets_are_those_of_the_published_networks() {
+    fn presets_match_the_published_networks() {
         let texts = [
             r#"{"drawn": "900x1600", "size": "256x448", "splat": "15:2,35:1,100:0", "radius_m": 50.0,
                 "color_filter": "bilinear", "bins": {"count": 256, "far_m": 50.0}, "template_fit": "none",

@@ -120,7 +120,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn recipes_of_which_no_maps_are_made_are_refused() {
+    fn rejects_invalid_recipes() {
         let good = Recipe::default();
         good.check().unwrap();
         let bins = |count, far_m| DepthBins { count, far_m, ..good.bins };

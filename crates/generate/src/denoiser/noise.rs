@@ -32,7 +32,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn noise_is_normal_and_follows_from_its_place() {
+    fn noise_is_normal_and_reproducible() {
         let shape = LatentShape { views: 2, channels: 48, height: 16, width: 28 };
         let mut source = GaussianNoise { seed: 5 };
         let noise = source.noise(shape, 3, 1);

@@ -98,7 +98,7 @@ mod tests {
     }
 
     #[test]
-    fn pixels_come_back_and_stand_as_pytorch_unshuffles_them() {
+    fn round_trips_in_pixel_unshuffle_order() {
         let shape = LatentShape { views: 2, channels: 12, height: 3, width: 4 };
         let codec = PixelCodec::new(shape).unwrap();
         assert_eq!(codec.size(), [6, 8]);
@@ -115,7 +115,7 @@ mod tests {
     }
 
     #[test]
-    fn what_does_not_fit_is_told() {
+    fn rejects_unsupported_shapes_and_images() {
         let shape = |channels| LatentShape { views: 1, channels, height: 2, width: 2 };
         let message = PixelCodec::new(shape(4)).unwrap_err().to_string();
         assert!(message.contains("3, 12, 27, 48") && message.contains("4"), "{message}");

@@ -166,7 +166,7 @@ mod tests {
 
     /// The product of these sizes overflows, but the leading zero hides that.
     #[test]
-    fn frames_without_values_are_no_cache() {
+    fn rejects_frames_without_values() {
         let numbers = serde_json::to_string(&Numbers { next: 3, references: 3, in_place: 0 }).unwrap();
         let metadata = HashMap::from([(NUMBERS.to_owned(), numbers)]);
         let frames = TensorView::new(Dtype::F32, vec![0, 1 << 40, 1 << 40, 1, 1], &[]).unwrap();

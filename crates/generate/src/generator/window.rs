@@ -48,7 +48,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn steps_are_shared_out_evenly_or_not_at_all() {
+    fn steps_must_divide_evenly() {
         let roll = |window, clean, steps| Roll { window, clean, steps }.per_roll();
         assert_eq!([roll(12, 0, 36), roll(5, 1, 12), roll(1, 0, 3)], [Some(3), Some(3), Some(3)]);
         assert_eq!([roll(12, 0, 35), roll(4, 4, 8), roll(0, 0, 1), roll(4, 0, 0)], [None; 4]);

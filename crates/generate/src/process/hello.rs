@@ -144,7 +144,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn sizes_of_images_are_two_positive_numbers() {
+    fn image_sizes_are_two_positive_numbers() {
         assert_eq!(image_size("256, 448"), Some(ImageSize { height: 256, width: 448 }));
         for text in ["", "256", "0,448", "256,-1", "256,448,3", "99999999,1"] {
             assert_eq!(image_size(text), None, "{text:?}");

@@ -229,7 +229,7 @@ mod tests {
 
     /// Frames return the conditions that they were created from, and a file returns the recording unchanged.
     #[test]
-    fn frames_keep_maps_images_and_numbers() {
+    fn frames_round_trip() {
         let set = ConditionSet { cameras: vec![camera("a", 1), camera("b", 2)] };
         let images = [
             RgbImage::from_pixel(3, 2, image::Rgb([5, 6, 7])),
@@ -279,7 +279,7 @@ mod tests {
     }
 
     #[test]
-    fn motion_of_removed_frames_is_kept() {
+    fn removed_frames_add_to_the_next_motion() {
         let frame = |action| DriveFrame { action, ..DriveFrame::default() };
         // A quarter turn to the left in every frame: forward, then left, then backward.
         let turn = std::f32::consts::FRAC_PI_2;
@@ -299,7 +299,7 @@ mod tests {
     }
 
     #[test]
-    fn maps_that_do_not_fit_are_refused() {
+    fn rejects_inconsistent_maps() {
         let set = |camera| ConditionSet { cameras: vec![super::tests::camera("a", 1), camera] };
         let images = vec![RgbImage::new(3, 2); 2];
         let made =

@@ -68,7 +68,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn holes_have_the_color_around_them() {
+    fn holes_take_the_surrounding_color() {
         let recipe = Recipe { size: ImageSize { height: 2, width: 4 }, ..Recipe::default() };
         let filled = FilledColor::new(&recipe, 2);
         let mut points = vec![0.0; 2 * POINT_CHANNELS * 8];

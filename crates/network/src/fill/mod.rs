@@ -88,7 +88,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn bytes_are_filled_as_levels() {
+    fn byte_fill_matches_float_fill() {
         let color: Vec<[u8; 3]> = (0..35).map(|i| [i * 7, 255 - i, 3]).collect();
         let all = vec![true; 35];
         assert_eq!(fill_holes(&color, &all, 7), color, "known pixels stay");
@@ -105,7 +105,7 @@ mod tests {
     }
 
     #[test]
-    fn known_pixels_stay_and_constants_are_continued() {
+    fn keeps_known_pixels_and_extends_constants() {
         let (width, height) = (7, 5);
         let known: Vec<bool> = (0..width * height).map(|i| i % 9 == 4).collect();
         let values = known.iter().map(|known| if *known { [0.3, 0.7] } else { [9.0, -9.0] }).collect();

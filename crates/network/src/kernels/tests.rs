@@ -78,7 +78,7 @@ fn mix_stride(mix: &AttentionMlp) -> usize {
 }
 
 #[test]
-fn attention_is_what_its_definition_says() {
+fn attention_matches_its_definition() {
     for attend in [Attend::Space, Attend::Views, Attend::Time] {
         let mix = AttentionMlp { attend, ..MIX };
         let (rows, out_stride) = (mix.grid.rows(), mix.width + mix.hidden);
@@ -102,7 +102,7 @@ fn attention_is_what_its_definition_says() {
 }
 
 #[test]
-fn norm_and_gate_have_their_gradients() {
+fn norm_and_gate_gradients_are_correct() {
     let (x, modulation, grad) = (normal(3, 6 * 32), normal(4, 2 * 64), normal(5, 6 * 32));
     let out = norm_forward(&x, &modulation, 32);
     for (row, values) in x.chunks(32).enumerate() {
@@ -129,7 +129,7 @@ fn norm_and_gate_have_their_gradients() {
 }
 
 #[test]
-fn products_of_odd_sizes_are_right() {
+fn products_of_odd_sizes_are_correct() {
     for (rows, inner, columns) in [(1, 1, 16), (5, 3, 16), (7, 9, 48), (4, 2, 64)] {
         let (a, b) = (normal(8, rows * inner), normal(9, inner * columns));
         for strides in [[inner, 1], [1, rows]] {
@@ -145,7 +145,7 @@ fn products_of_odd_sizes_are_right() {
 }
 
 #[test]
-fn exponentials_are_true_to_their_last_places() {
+fn exp_is_accurate_to_4e_7() {
     for x in (-8700..8800).map(|i| i as f32 / 100.0) {
         let ratio = f64::from(exp(x)) / f64::from(x).exp();
         assert!((ratio - 1.0).abs() < 4e-7, "{x} {ratio}");
@@ -171,7 +171,7 @@ fn convolved(shape: &Convolution, x: &[f32], weights: &[f32], bias: &[f32], at: 
 }
 
 #[test]
-fn convolutions_are_what_their_definition_says() {
+fn convolution_matches_its_definition() {
     for (height, width, channels, outputs, rectified) in [(20, 5, 16, 32, true), (3, 14, 32, 16, false)] {
         let shape = Convolution { height, width, channels, outputs, rectified };
         let (pixels, taps) = (3 * height * width, 9 * channels);
@@ -202,7 +202,7 @@ fn convolutions_are_what_their_definition_says() {
 
 /// A gradient is the adjoint: `<f(x), g> = <x, f'(g)>` for linear `f`.
 #[test]
-fn resizing_keeps_constants_and_has_its_gradient() {
+fn resizing_keeps_constants_and_gradients_are_correct() {
     let shape = Resize { height: 6, width: 10, channels: 16 };
     let (large, small) = (2 * 6 * 10 * 16, 2 * 3 * 5 * 16);
     assert!(

@@ -175,7 +175,7 @@ mod tests {
     }
 
     #[test]
-    fn a_mirror_twice_is_no_change() {
+    fn mirroring_twice_is_identity() {
         let mut changed = frame();
         mirror(&mut changed, SIZE);
         assert_eq!(changed.action, [1.0, -0.5, -0.1]);
@@ -190,7 +190,7 @@ mod tests {
     }
 
     #[test]
-    fn points_are_removed_and_never_made() {
+    fn thinning_only_removes_points() {
         let mut random: ChaCha8Rng = Seeder::from(3_u64).into_rng();
         let mut removed = 0;
         for _ in 0..50 {

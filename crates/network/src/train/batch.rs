@@ -298,7 +298,7 @@ mod tests {
     }
 
     #[test]
-    fn staircases_are_those_of_rolls() {
+    fn staircase_levels_match_a_roll() {
         let options = TrainOptions { staircase: 1.0, ..TrainOptions::default() };
         let table = FlowMatch::new(8, 3.0);
         let s = table.sigmas();
@@ -316,7 +316,7 @@ mod tests {
     }
 
     #[test]
-    fn independent_levels_and_drops_come_as_often_as_told() {
+    fn independent_levels_and_drops_follow_their_chances() {
         let drop = super::super::DropChances { layout: 0.2, action: 0.0, color: 0.5, depth: 0.0, all: 0.1 };
         let options = TrainOptions { staircase: 0.0, history: 0.5, drop, ..TrainOptions::default() };
         let all = windows(&options);
@@ -338,7 +338,7 @@ mod tests {
     }
 
     #[test]
-    fn noise_leads_to_the_clean_latents() {
+    fn adjusted_noise_leads_to_the_clean_latents() {
         let clean = [1.0, 2.0, 3.0, 4.0, 5.0, 6.0];
         let erring = [1.5, 2.0, 3.0, 3.0, 7.0, 6.0];
         let mut noise = [0.0, 8.0, 1.0, 0.0, 0.5, 1.0];
@@ -359,7 +359,7 @@ mod tests {
 
     /// Two images of two hundred places: each has a brightness of its own.
     #[test]
-    fn errors_are_those_of_whole_images() {
+    fn brightness_errors_are_per_image() {
         let mut random: ChaCha8Rng = Seeder::from(5_u64).into_rng();
         let clean = vec![0.0_f32; 2 * 200 * 3];
         let mut shifts = Vec::new();

@@ -64,7 +64,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn losses_are_read_as_they_were_written() {
+    fn losses_round_trip() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("loss.csv");
         let report = |step: u64| StepReport {

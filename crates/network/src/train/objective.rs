@@ -95,7 +95,7 @@ mod tests {
     /// One image of 8x8 pixels by hand: an offset of 0.5 has no gradient; a step of 1 between two columns has
     /// one in 8 of 56 places.
     #[test]
-    fn errors_of_images_and_of_their_gradients_count() {
+    fn image_loss_counts_pixels_and_gradients() {
         let mut config = NetworkConfig::default();
         config.recipe.size = point_skeleton::geometry::ImageSize { height: 8, width: 8 };
         let loss = |of: fn(usize) -> f32| {
@@ -109,7 +109,7 @@ mod tests {
     }
 
     #[test]
-    fn weights_are_shares_of_what_counts() {
+    fn weights_sum_to_one_over_counted_rows() {
         let found = weights(&[false, true, true], &[0.5, 1.5], &[9.0, 0.8, 1.0], 12);
         // Two counted frames of four rows and two channels.
         let each = 1.0 / 16.0;
@@ -121,7 +121,7 @@ mod tests {
     }
 
     #[test]
-    fn errors_of_guesses_are_in_units_of_the_usual_one() {
+    fn guess_errors_are_relative_to_the_average() {
         // The usual errors are 0.5 and 2; half of each is expected to remain.
         let weighing = LossWeights { priors: &[0.25, 1.0], expected_error: 0.5 };
         let left = Tensor::new(&[[0.5_f32, 2.0], [0.5, -2.0], [1.0, 4.0], [0.0, 0.0]], &Device::Cpu).unwrap();

@@ -133,7 +133,7 @@ mod tests {
     /// The first step of AdamW moves by the learning rate against the sign of the gradient, after weight
     /// decay.
     #[test]
-    fn a_step_is_what_the_definition_says() {
+    fn step_matches_adamw() {
         let options = TrainOptions {
             warmup: 0,
             learning_rate: 0.1,
@@ -161,7 +161,7 @@ mod tests {
     }
 
     #[test]
-    fn long_gradients_are_cut() {
+    fn long_gradients_are_clipped() {
         let options = TrainOptions { clip: 1.0, warmup: 0, ..TrainOptions::default() };
         let zero =
             || BTreeMap::from([("a".to_owned(), Tensor::from_vec(vec![0.0_f32], 1, &Device::Cpu).unwrap())]);

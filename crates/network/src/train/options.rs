@@ -153,7 +153,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_rate_rises_and_falls_to_a_tenth() {
+    fn learning_rate_warms_up_and_decays_to_a_tenth() {
         let options = TrainOptions { steps: 300, warmup: 100, learning_rate: 2.0, ..TrainOptions::default() };
         let rates = [0, 99, 100, 200, 300, 900].map(|step| options.rate(step));
         let expected = [0.02, 2.0, 2.0, 1.1, 0.2, 0.2];
@@ -161,7 +161,7 @@ mod tests {
     }
 
     #[test]
-    fn what_does_not_go_together_is_refused() {
+    fn rejects_inconsistent_options() {
         let (good, config) = (TrainOptions::default(), NetworkConfig::default());
         good.check(&config).unwrap();
         let refused: [(TrainOptions, &str); 5] = [

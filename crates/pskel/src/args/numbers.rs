@@ -106,7 +106,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn frame_ranges() {
+    fn parses_frame_ranges() {
         let range: FrameRange = "2..5".parse().unwrap();
         assert_eq!(FrameRange::of(Some(range), 5).unwrap(), 2..5);
         assert_eq!(FrameRange::of(None, 5).unwrap(), 0..5);
@@ -118,7 +118,7 @@ mod tests {
     }
 
     #[test]
-    fn lengths() {
+    fn parses_lengths() {
         assert_eq!([voxel_m("0"), voxel_m("0.0001")], [Ok(0.0), Ok(1e-4)]);
         for text in ["0.00001", "-1", "NaN", "inf", "x", ""] {
             assert!(voxel_m(text).is_err(), "{text}");
@@ -128,10 +128,10 @@ mod tests {
     }
 
     #[test]
-    fn factors_and_waits() {}
+    fn parses_factors_and_waits() {}
 
     #[test]
-    fn rates() {
+    fn parses_rates() {
         assert_eq!([rate_hz("6"), rate_hz("0.1"), rate_hz("100")], [Ok(6.0), Ok(0.1), Ok(100.0)]);
         for text in ["0", "0.09", "100.1", "-6", "NaN", "inf", "x", ""] {
             assert!(rate_hz(text).unwrap_err().contains("0.1 to 100"), "{text}");
@@ -147,7 +147,7 @@ mod tests {
     }
 
     #[test]
-    fn numbers_of_points() {
+    fn parses_point_counts() {
         assert_eq!([points("4000000"), points("4e6"), points("1")], [Ok(4_000_000), Ok(4_000_000), Ok(1)]);
         assert_eq!(points("4294967294"), Ok(4_294_967_294));
         for text in ["0", "-4", "4.5", "4294967295", "1e30", "NaN", "x", ""] {

@@ -34,7 +34,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn only_what_no_machine_has_use_for_is_refused() {
+    fn rejects_excessive_thread_counts() {
         for value in [None, Some(""), Some("0"), Some("1"), Some("256"), Some("many"), Some("-1")] {
             assert!(check("N", value, 2).is_ok(), "{value:?}");
         }

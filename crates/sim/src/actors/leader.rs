@@ -103,14 +103,14 @@ mod tests {
     }
 
     #[test]
-    fn the_ego_leads_if_nobody_is_nearer() {
+    fn ego_leads_if_no_actor_is_nearer() {
         // The ego's rear is 1.127 m behind its rear axle; the car's front is at -28 m.
         close(leader(&[]), 28.0 - (5.176 / 2.0 - 1.461), 5.0);
         close(leader(&[actor(0, -20.0, 0.0, 0.0, 3.0)]), 6.0, 3.0);
     }
 
     #[test]
-    fn who_cuts_in_counts_from_where_it_meets_the_corridor() {
+    fn cut_in_leads_from_its_corridor_entry() {
         // The right front corner has just crossed the edge of the corridor.
         let turn = -0.2f64;
         let cuts = actor(0, -18.0, 2.3, turn, 6.0);
@@ -131,7 +131,7 @@ mod tests {
     }
 
     #[test]
-    fn who_is_beside_behind_or_far_is_no_leader() {
+    fn ignores_actors_beside_behind_or_far() {
         let parked = [actor(0, -20.0, 2.01, 0.0, 0.0), actor(1, -20.0, -2.01, 0.0, 0.0)];
         assert_eq!(leader(&parked), leader(&[]));
         assert_eq!(leader(&[actor(0, -34.1, 0.0, 0.0, 9.0)]), leader(&[]));

@@ -131,7 +131,7 @@ mod tests {
     }
 
     #[test]
-    fn curves_are_circles() {
+    fn constant_curvature_drives_circles() {
         let cruiser = ReactiveActor { cruise_mps: 5.0, curvature: 0.05 };
         let driven = drive(cruiser, actor(0, 0.0, 0.0, 0.0, 5.0), &[], 30);
         for at in &driven {
@@ -144,7 +144,7 @@ mod tests {
     }
 
     #[test]
-    fn brakes_hold_two_meters() {
+    fn stops_two_meters_before_obstacles() {
         for speed in [3.0, 8.0, 15.0] {
             let cruiser = ReactiveActor { cruise_mps: speed, curvature: 0.0 };
             let wall = actor(1, 80.0, 0.0, 0.0, 0.0);
@@ -161,7 +161,7 @@ mod tests {
     }
 
     #[test]
-    fn speed_is_taken_up_again() {
+    fn returns_to_cruise_speed() {
         let cruiser = ReactiveActor { cruise_mps: 8.0, curvature: 0.0 };
         let slowed = drive(cruiser, actor(0, 0.0, 0.0, 0.0, 2.0), &[], 10);
         assert!((slowed[30].speed_mps - 5.0).abs() < 1e-9 && slowed[100].speed_mps == 8.0);
@@ -173,7 +173,7 @@ mod tests {
     }
 
     #[test]
-    fn who_stands_goes_on_standing() {
+    fn parked_actors_stay_parked() {
         let parked = actor(0, 3.0, 1.0, 0.4, 0.1);
         let driven = drive(ReactiveActor { cruise_mps: 0.0, curvature: 0.0 }, parked, &[], 3);
         assert_eq!(driven[30].cuboid, parked.cuboid);

@@ -107,7 +107,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_quintic_meets_its_ends() {
+    fn quintic_meets_its_end_conditions() {
         let q = |s: f64| quintic(0.2, -0.1, -3.5, 40.0, s);
         let close = |found: (f64, f64), wanted: (f64, f64)| {
             assert!((found.0 - wanted.0).abs() < 1e-9 && (found.1 - wanted.1).abs() < 1e-9, "{found:?}");

@@ -72,7 +72,7 @@ mod tests {
     use proptest::prelude::*;
 
     #[test]
-    fn a_steady_rise_is_a_parabola_and_then_a_line() {
+    fn steady_acceleration_then_constant_speed() {
         let profile = Profile::steady(3.0, 6.0, 0.6);
         let drive = profile.at(2.0);
         assert!((drive.way_m - 7.2).abs() < 1e-12 && (drive.speed_mps - 4.2).abs() < 1e-12);

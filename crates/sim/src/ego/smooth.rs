@@ -75,7 +75,7 @@ mod tests {
     }
 
     #[test]
-    fn circles_stay_circles() {
+    fn smoothing_keeps_circles() {
         for radius_m in [12.0, 40.0] {
             let smooth = Smooth::new(&circle(radius_m, 0.0), 0.0, 0.0);
             // Beyond both ends the path is straight, which affects the curve for some meters.
@@ -95,7 +95,7 @@ mod tests {
     }
 
     #[test]
-    fn noise_is_hardly_felt_and_lines_are_exact() {
+    fn smoothing_suppresses_noise_and_keeps_lines() {
         let smooth = Smooth::new(&circle(40.0, 0.01), 0.0, 0.0);
         for i in 12..40 {
             assert!((smooth.at(f64::from(i)).curvature - 0.025).abs() < 0.01);

@@ -151,7 +151,7 @@ pub(crate) mod tests {
     }
 
     #[test]
-    fn nobody_is_touched_beside() {
+    fn adjacent_actors_do_not_collide() {
         // The ego extends from -1.127 to 4.049 m and 1.1485 m to either side.
         let beside =
             [actor(0, 6.06, 0.0, 0.0, 3.0), actor(0, -3.1275, 0.0, 0.0, 3.0), actor(0, 1.0, 2.15, 0.0, 3.0)];
@@ -161,7 +161,7 @@ pub(crate) mod tests {
     }
 
     #[test]
-    fn faults_are_as_nuplan_gives_them() {
+    fn collision_faults_match_nuplan() {
         use CollisionKind::{Front, Lateral, Rear, StoppedActor, StoppedEgo};
         let ahead = actor(0, 6.0, 0.0, 0.0, 3.0);
         let behind = actor(0, -3.0, 0.0, 0.0, 9.0);

@@ -86,7 +86,7 @@ mod tests {
     }
 
     #[test]
-    fn figures_by_hand() {
+    fn computes_comfort_ranges() {
         let found = figures(&[(10.0, 0.0, 0.0), (10.0, 0.3, 0.04), (10.0, -0.1, -0.02)]);
         assert_eq!(found.longitudinal_mps2, Some(Range { min: -0.1, max: 0.3 }));
         assert_eq!(found.lateral_mps2, Some(Range { min: -0.2, max: 0.4 }));
@@ -97,7 +97,7 @@ mod tests {
     }
 
     #[test]
-    fn every_bound_counts() {
+    fn each_comfort_bound_applies() {
         for (state, comfortable) in [
             ((1.0, 2.40, 0.0), true),
             ((1.0, 2.41, 0.0), false),

@@ -153,7 +153,7 @@ mod tests {
     }
 
     #[test]
-    fn shares_by_hand() {
+    fn computes_off_road_shares() {
         let road = road();
         let share = |x: f64, y: f64| road.share_off(&cuboid(x, y));
         assert_eq!([share(20.0, 2.0), share(40.0, 0.0), share(20.0, -2.0)], [0.0; 3]);
@@ -164,7 +164,7 @@ mod tests {
     }
 
     #[test]
-    fn lanes_hold_all_corners_or_none() {
+    fn all_corners_must_be_in_one_lane() {
         let road = road();
         let one = |x: f64, y: f64| road.is_in_one_lane(&Footprint::from(&cuboid(x, y)));
         assert!(one(20.0, 2.0) && one(40.0, 2.0) && one(20.0, -2.0));
@@ -174,7 +174,7 @@ mod tests {
 
     /// A lane along x that forks at 40 m into a left and a right connector, beside a continuing lane.
     #[test]
-    fn a_lane_goes_on_in_each_of_its_successors() {
+    fn lane_and_successor_count_as_one() {
         let lane = |id: &str, outline: Area, successors: &[&str]| Lane {
             id: id.into(),
             outline,

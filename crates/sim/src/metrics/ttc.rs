@@ -31,7 +31,7 @@ mod tests {
     use crate::metrics::collision::tests::{actor, instant};
 
     #[test]
-    fn gaps_over_closing_speeds() {
+    fn ttc_is_gap_over_closing_speed() {
         // The ego's front is 4.049 m before its rear axle; the rear of a stopped car of 4 m is at 20 m.
         let front = 1.461 + 5.176 / 2.0;
         let found = |speed: f64, others: &[_]| seconds_to_contact(&instant(speed, others));
@@ -50,7 +50,7 @@ mod tests {
     }
 
     #[test]
-    fn who_is_behind_counts_for_nothing() {
+    fn ignores_actors_behind() {
         let found = |others: &[_]| seconds_to_contact(&instant(5.0, others));
         assert_eq!(found(&[actor(0, -6.0, 0.0, 0.0, 20.0)]), None);
         assert_eq!(found(&[actor(0, 4.0, 0.0, 0.0, 5.0)]), Some(0.0));

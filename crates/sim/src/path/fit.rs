@@ -51,7 +51,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn parabolas_are_found_again() {
+    fn recovers_parabolas() {
         let base = DVec3::new(4e6, -7.0, 0.0);
         let (v, a) = (DVec3::new(12.0, -3.0, 0.2), DVec3::new(-2.0, 0.5, 0.1));
         let sample = |t: f64| (t, base + v * t + a * (t * t / 2.0));
@@ -64,7 +64,7 @@ mod tests {
     }
 
     #[test]
-    fn few_samples_say_less() {
+    fn few_samples_give_lower_orders() {
         let (p, q) = (DVec3::new(1.0, 2.0, 3.0), DVec3::new(2.0, 2.0, 1.0));
         let two = motion(&[(-0.5, p), (0.5, q)], false);
         assert!((two.value - (p + q) / 2.0).length() < 1e-12 && (two.rate - (q - p)).length() < 1e-12);

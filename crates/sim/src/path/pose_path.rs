@@ -40,7 +40,7 @@ mod tests {
     use glam::DVec3;
 
     #[test]
-    fn poses_are_met_joined_and_carried_on() {
+    fn interpolates_and_extrapolates_poses() {
         let pose = |x: f64, z: f64, yaw: f64| Pose::from_yaw(yaw, DVec3::new(x, 5.0, z));
         let path = PosePath::new(vec![pose(0.0, 1.0, 0.1), pose(2.0, 2.0, 0.3)]).unwrap();
         assert_eq!(path.line().length_m(), 2.0);

@@ -136,7 +136,7 @@ mod tests {
     }
 
     #[test]
-    fn commands_are_turns_within_20_m() {
+    fn driving_commands_look_20_m_ahead() {
         let straight = route(&[0.0, 10.0, 20.0, 30.0].map(|x| Pose::from_yaw(0.0, DVec3::X * x)));
         let command = |route: &Route, station_m: f64| route.command(Foot { station_m, offset_m: 1.0 });
         assert_eq!(
@@ -160,7 +160,7 @@ mod tests {
     }
 
     #[test]
-    fn the_ground_is_that_of_the_way() {
+    fn poses_follow_the_route_ground() {
         // A 10 % climb with the nose up.
         let nose_up = DQuat::from_rotation_y(-0.1f64.atan());
         let pose = |x: f64| Pose { rotation: nose_up, translation: DVec3::new(x, 0.0, x / 10.0) };
@@ -179,7 +179,7 @@ mod tests {
 
     /// East over a bridge, around to the left, and south below it.
     #[test]
-    fn a_way_that_crosses_itself_is_followed_in_its_order() {
+    fn self_crossing_route_is_followed_in_order() {
         let corners =
             [(0.0, 0.0, 8.0), (100.0, 0.0, 8.0), (100.0, 50.0, 4.0), (50.0, 50.0, 0.0), (50.0, -50.0, 0.0)];
         let route = route(&corners.map(|(x, y, z)| Pose::from_yaw(0.0, DVec3::new(x, y, z))));
@@ -198,7 +198,7 @@ mod tests {
     }
 
     #[test]
-    fn an_ego_that_stands_has_a_ground_too() {
+    fn stationary_ego_has_a_ground_pose() {
         let pose = Pose::from_yaw(std::f64::consts::FRAC_PI_2, DVec3::new(5.0, 6.0, 7.0));
         let route = route(&[pose; 3]);
         assert!(route.line().is_none());

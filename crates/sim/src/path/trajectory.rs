@@ -122,7 +122,7 @@ mod tests {
     }
 
     #[test]
-    fn times_between_and_beyond() {
+    fn interpolates_and_extrapolates_waypoints() {
         let next = [waypoint(1_000_000, 4.0, -3.0, 6.0), waypoint(900_000, 9.0, 0.0, 0.0)];
         let plan = Trajectory::new(waypoint(0, 1.0, 3.0, 2.0), next);
         assert_eq!(plan.waypoints().len(), 2);

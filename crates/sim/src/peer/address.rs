@@ -63,7 +63,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn addresses_are_told_apart() {
+    fn parses_addresses() {
         let address = |text: &str| text.parse::<PeerAddress>();
         assert_eq!(address("unix:/tmp/a b").unwrap(), PeerAddress::Unix("/tmp/a b".into()));
         assert_eq!(address("tcp:[::1]:80").unwrap(), PeerAddress::Tcp("[::1]:80".into()));

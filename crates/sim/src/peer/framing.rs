@@ -113,7 +113,7 @@ mod tests {
     }
 
     #[test]
-    fn messages_come_as_they_were_written() {
+    fn messages_round_trip() {
         for framing in [Framing::Lines { max_bytes: 4 }, Framing::Lengths { max_bytes: 4 }] {
             let mut bytes = Vec::new();
             for message in ["", "abcd", "e"] {
@@ -127,7 +127,7 @@ mod tests {
     }
 
     #[test]
-    fn ends_within_messages_are_told() {
+    fn detects_truncated_and_oversized_messages() {
         let counted = Framing::Lengths { max_bytes: 4 };
         assert_eq!(all(counted, &[3, 0, 0]), [ReadResult::Cut { bytes: 3, of: 8 }]);
         assert_eq!(all(counted, &[3, 0, 0, 0, 0, 0, 0, 0, 7]), [ReadResult::Cut { bytes: 9, of: 11 }]);

@@ -115,7 +115,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn maps_and_the_picture_from_above_stand_side_by_side() {
+    fn composes_maps_beside_birdseye_view() {
         let folder = tempfile::tempdir().unwrap();
         let view = folder.path().join(VIEW);
         std::fs::create_dir(&view).unwrap();

@@ -109,7 +109,7 @@ mod tests {
     use image::Rgb;
 
     #[test]
-    fn images_come_back_as_they_were_written() {
+    fn images_round_trip() {
         let folder = tempfile::tempdir().unwrap();
         let cameras = ["a", "b"];
         let names = cameras.map(|name| name.parse().unwrap());

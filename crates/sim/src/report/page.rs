@@ -224,7 +224,7 @@ mod tests {
     }
 
     #[test]
-    fn data_stand_in_the_page_and_cannot_break_out() {
+    fn page_data_is_escaped() {
         let html = page().html().unwrap();
         let start = html.find(r#"id="rollout">"#).unwrap() + r#"id="rollout">"#.len();
         let data = &html[start..start + html[start..].find("</script>").unwrap()];
@@ -241,7 +241,7 @@ mod tests {
     }
 
     #[test]
-    fn tables_are_flat_and_for_people() {
+    fn tables_are_flat_and_readable() {
         let rows = table(&serde_json::json!({
             "collisions": {"at_fault": 1, "all": [2, 3]},
             "ttc_s": 1.23456,

@@ -321,7 +321,7 @@ mod tests {
     }
 
     #[test]
-    fn rows_come_back_to_the_bit() {
+    fn rows_round_trip() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("states.jsonl");
         let mut file = StateFile::create(&path, &[row(0)]).unwrap();
@@ -341,7 +341,7 @@ mod tests {
     }
 
     #[test]
-    fn lines_that_are_no_rows_are_refused() {
+    fn rejects_invalid_lines() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("states.jsonl");
         StateFile::create(&path, &[row(0), row(2)]).unwrap();

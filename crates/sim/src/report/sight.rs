@@ -117,7 +117,7 @@ mod tests {
     use point_skeleton::dataset::{Class, ImageRecord, Track, TrackBox};
 
     #[test]
-    fn pixels_of_actors_are_counted_where_they_are() {
+    fn counts_actor_pixels_per_camera() {
         let mut instance = vec![0; 24];
         (instance[6 + 2], instance[12 + 2], instance[12 + 4], instance[23]) = (2, 2, 2, 9);
         let maps =
@@ -164,7 +164,7 @@ mod tests {
     }
 
     #[test]
-    fn logged_images_show_what_projects_into_them() {
+    fn logged_images_show_projected_actors() {
         let ahead = DVec3::new(10.0, 0.0, 0.0);
         let beside = DVec3::new(10.0, 12.0, 0.0);
         for (place, expected) in [
@@ -198,7 +198,7 @@ mod tests {
     }
 
     #[test]
-    fn cameras_stand_for_images_that_are_missing() {
+    fn rig_cameras_replace_missing_images() {
         let (ahead, beside) = (DVec3::new(10.0, 0.0, 0.0), DVec3::new(10.0, 12.0, 0.0));
         let mut log = log([beside, ahead, beside]);
         let ImageRecord { channel, ego_from_camera, camera, .. } = log.frames[0].images[0].clone();

@@ -239,7 +239,7 @@ mod tests {
     }
 
     #[test]
-    fn a_video_is_read_back_picture_by_picture() {
+    fn video_round_trips() {
         let bytes = written(25);
         assert_eq!(bytes, written(25));
         let size = bytes.len() as u64;
@@ -271,7 +271,7 @@ mod tests {
     }
 
     #[test]
-    fn no_pictures_are_no_video_and_wrong_sizes_are_refused() {
+    fn rejects_wrong_sizes_and_writes_no_empty_video() {
         assert_eq!(written(0), [0; 0]);
         let new = |height, width| Video::new(Path::new("v.mp4"), ImageSize { height, width }, 10.0);
         for (height, width) in [(47, 64), (48, 0), (4000, 64)] {
@@ -283,7 +283,7 @@ mod tests {
     }
 
     #[test]
-    fn a_full_disk_names_the_file() {
+    fn write_error_names_the_file() {
         let mut video = Video::new(Path::new("/proc/none.mp4"), SIZE, 10.0).unwrap();
         video.push(SIZE, &picture(0)).unwrap();
         assert!(video.write().unwrap_err().to_string().ends_with("/proc/none.mp4"));

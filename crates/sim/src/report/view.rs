@@ -132,7 +132,7 @@ mod tests {
     }
 
     #[test]
-    fn pictures_show_every_camera_at_its_place() {
+    fn pictures_place_every_camera() {
         let colors = [[200, 30, 40], [30, 190, 60], [40, 50, 220]];
         let names =
             ["CAM_FRONT", "CAM_FRONT_RIGHT", "CAM_BACK_RIGHT", "CAM_BACK", "CAM_BACK_LEFT", "CAM_FRONT_LEFT"];
@@ -159,7 +159,7 @@ mod tests {
     }
 
     #[test]
-    fn wide_rows_have_smaller_tiles_and_no_maps_no_pictures() {
+    fn wide_rows_use_smaller_tiles() {
         let ring = ["CAM_F0", "CAM_R0", "CAM_R1", "CAM_R2", "CAM_B0", "CAM_L2", "CAM_L1", "CAM_L0"];
         let set = ConditionSet { cameras: ring.iter().map(|name| camera(name, [9; 3])).collect() };
         let layout = Layout::of(&set);

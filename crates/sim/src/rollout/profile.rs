@@ -196,7 +196,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn medians_and_the_rate_follow_from_the_steps() {
+    fn computes_medians_and_rate() {
         let step = |ms: f64| StepTimes { policies_s: ms / 1e3, finish_s: 0.02, ..StepTimes::default() };
         let mut profile = Profile { steps: [9.0, 5.0, 700.0].map(step).to_vec(), ..Profile::default() };
         let info = RasterizerInfo { rasterizer: "cpu", device: "d".into(), driver: String::new() };

@@ -67,7 +67,7 @@ fn log() -> Recording {
 }
 
 #[test]
-fn metrics_are_of_the_steps_that_were_drawn() {
+fn metrics_cover_only_rendered_steps() {
     let (log, folder) = (log(), tempfile::tempdir().unwrap());
     let path = folder.path().join("sk");
     let nothing = |writer: &mut SkeletonWriter| {

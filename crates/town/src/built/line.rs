@@ -127,7 +127,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_straight_line_keeps_its_ends_and_an_arc_its_radius() {
+    fn keeps_line_ends_and_arc_radius() {
         let straight: Vec<DVec2> = (0..=10).map(|x| DVec2::new(f64::from(x), 1.0)).collect();
         let line = Line::new(&straight).unwrap();
         assert_eq!(line.stations(), [0.0, 10.0]);

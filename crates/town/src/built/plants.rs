@@ -196,7 +196,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn balls_are_closed_and_look_outward() {
+    fn balls_are_closed_and_face_outward() {
         for splits in 0..3 {
             let mut mesh = Mesh::default();
             ball(&mut mesh, DVec3::ZERO, DVec3::new(1.0, 2.0, 3.0), splits, 0.0, Crown::new([9; 3], 1));

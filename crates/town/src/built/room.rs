@@ -74,7 +74,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn areas_overlap_or_touch() {
+    fn area_overlap_test() {
         let square = |x: f64, y: f64| {
             [[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]].map(|[u, v]| DVec2::new(x + u, y + v))
         };

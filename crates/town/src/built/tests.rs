@@ -76,7 +76,7 @@ fn samples(lot: &Lot) -> impl Iterator<Item = DVec2> + '_ {
 }
 
 #[test]
-fn houses_stand_beside_streets_and_beside_each_other() {
+fn houses_do_not_overlap_streets_or_houses() {
     for seed in SEEDS {
         let network = Network::new(seed);
         let lots = built_lots(&network, seed);
@@ -127,7 +127,7 @@ fn houses_have_fronts_and_few_triangles() {
 }
 
 #[test]
-fn things_on_sidewalks_keep_off_the_road_and_off_crossings() {
+fn street_furniture_avoids_roads_and_crossings() {
     for seed in SEEDS {
         let network = Network::new(seed);
         let (ways, style) = (Ways::new(&network), Style::new(seed));
@@ -153,7 +153,7 @@ fn things_on_sidewalks_keep_off_the_road_and_off_crossings() {
 }
 
 #[test]
-fn posts_leave_the_sidewalks_outer_half_to_walkers() {
+fn posts_leave_the_outer_sidewalk_free() {
     let style = Style::new(3);
     let metal = crate::mesh::Skin::new(style.metal, Surface::Metal);
     for thing in [
@@ -192,7 +192,7 @@ fn top(meshes: &[Mesh], place: DVec2) -> Option<f64> {
 }
 
 #[test]
-fn the_ground_is_closed_and_every_part_has_its_height() {
+fn ground_is_closed_at_correct_heights() {
     for seed in [0, 7] {
         let network = Network::new(seed);
         let ways = Ways::new(&network);
@@ -245,7 +245,7 @@ fn paint_is_on_roads() {
 }
 
 #[test]
-fn all_that_stands_is_sound() {
+fn static_meshes_are_valid() {
     for seed in SEEDS {
         let meshes = standing(&plan(seed), seed);
         let mut triangles = 0;
@@ -276,7 +276,7 @@ fn all_that_stands_is_sound() {
 }
 
 #[test]
-fn a_seed_is_a_town() {
+fn seed_determines_the_town() {
     let (a, b, other) = (standing(&plan(7), 7), standing(&plan(7), 7), standing(&plan(7), 8));
     assert_eq!(a, b);
     let colors = |meshes: &[Mesh]| {

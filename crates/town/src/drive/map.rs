@@ -170,7 +170,7 @@ mod tests {
     }
 
     #[test]
-    fn a_straight_road_has_the_areas_it_should() {
+    fn straight_road_has_expected_areas() {
         let quarter = Pose::from_yaw(std::f64::consts::FRAC_PI_2, DVec3::new(1000.0, 50.0, 0.0));
         let (map, layers) = vector_map(&network(), "town", &quarter);
         let areas = |areas: &[Area]| areas.iter().map(|a| area_m2(&a.exterior).round()).collect::<Vec<_>>();

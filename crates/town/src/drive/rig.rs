@@ -72,7 +72,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn cameras_look_where_they_are_said_to() {
+    fn camera_directions_match_their_mounts() {
         let rig = cameras([900, 1600]).unwrap();
         let forward = |i: usize| rig[i].ego_from_camera.rotation * DVec3::Z;
         assert!(forward(0).distance(DVec3::X) < 1e-12 && forward(3).distance(DVec3::NEG_X) < 1e-12);
@@ -85,7 +85,7 @@ mod tests {
 
     /// The field of view does not depend on the image size.
     #[test]
-    fn images_are_scaled() {
+    fn intrinsics_scale_with_image_size() {
         let (large, small) = (cameras([900, 1600]).unwrap(), cameras([225, 400]).unwrap());
         assert!(large.iter().zip(&small).all(|(a, b)| a.camera.resized(225, 400) == b.camera));
     }

@@ -79,7 +79,7 @@ mod tests {
     }
 
     #[test]
-    fn without_noise_a_beam_tells_where_it_was() {
+    fn noiseless_beams_return_exact_ranges() {
         let grey = hit([128; 3], Surface::Plaster);
         let (range_m, intensity) = echo(&grey, -0.25, Noise::None, 3).unwrap();
         let expected = 255.0 * (0.05 + 0.55 * (128.0_f64 / 255.0).powi(2)) * 0.5;
@@ -88,7 +88,7 @@ mod tests {
 
     /// Uses 20000 beams; bounds are five standard deviations of the measured quantities.
     #[test]
-    fn noise_has_its_spread_and_its_losses() {
+    fn noise_has_expected_spread_and_losses() {
         const BEAMS: i64 = 20_000;
         let n = BEAMS as f64;
         let all = |hit: &Hit, facing: f64| -> Vec<f64> {

@@ -125,7 +125,7 @@ mod tests {
     }
 
     #[test]
-    fn the_tree_finds_what_a_full_search_finds() {
+    fn tree_matches_exhaustive_search() {
         let mesh = blocks();
         let solid = Solid::new([&mesh]);
         let mut hits = 0;
@@ -144,7 +144,7 @@ mod tests {
     }
 
     #[test]
-    fn what_a_triangle_looks_like_is_told() {
+    fn hits_report_surface_appearance() {
         let mut mesh = Mesh::default();
         let skin = Skin { rgb: [1, 2, 3], surface: Surface::CarGlass, seed: 77 };
         mesh.block(DVec3::new(5.0, -1.0, -1.0), DVec3::new(6.0, 1.0, 1.0), skin);

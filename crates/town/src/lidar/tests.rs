@@ -28,7 +28,7 @@ fn points(sweep: &[SweepPoint]) -> impl Iterator<Item = DVec3> {
 }
 
 #[test]
-fn beams_have_their_angles_and_their_number() {
+fn beams_have_expected_angles_and_count() {
     for (beams, hz, lowest, highest) in [(32, 10.0, -30.67, 10.67), (64, 20.0, -24.9, 2.0_f64)] {
         let lidar = Lidar::new(beams, hz);
         // A box all around: every beam hits.
@@ -96,7 +96,7 @@ fn points_lie_on_the_ground_and_on_the_wall() {
 
 /// The ego drives and turns during the rotation: points still lie on the wall, in the LiDAR's final frame.
 #[test]
-fn the_egos_motion_is_taken_out() {
+fn sweeps_are_motion_compensated() {
     let scanner = Scanner::new(&[ground_and_wall()], &BTreeMap::new());
     let town_from_lidar = |t_s: f64| Pose::from_yaw(0.8 * t_s, DVec3::new(15.0 * t_s, 0.4 * t_s, LIDAR_Z));
     let end_s = 0.7;
@@ -165,7 +165,7 @@ fn actors_move_while_the_lidar_turns() {
 }
 
 #[test]
-fn threads_change_nothing() {
+fn sweeps_do_not_depend_on_threads() {
     let scanner = Scanner::new(&[ground_and_wall()], &BTreeMap::new());
     let turn = || Turn {
         lidar: Lidar::new(32, 20.0),

@@ -210,7 +210,7 @@ mod tests {
     }
 
     #[test]
-    fn round_solids_are_closed_and_as_large_as_formulas_say() {
+    fn round_solids_are_closed_with_correct_volume() {
         let at = DVec3::new(0.3, -2.0, 5.0);
         type Build<'a> = &'a dyn Fn(&mut Mesh);
         let solids: [(Build, f64, f64); 4] = [
@@ -237,7 +237,7 @@ mod tests {
     }
 
     #[test]
-    fn smooth_normals_are_those_of_the_sphere_and_edges_stay_sharp() {
+    fn smooth_normals_match_the_sphere_and_edges_stay_sharp() {
         let mut ball = Mesh::default();
         ball.ellipsoid(DVec3::ZERO, DVec3::ONE, [24, 32], SKIN);
         ball.smooth(0.7);
@@ -257,7 +257,7 @@ mod tests {
     }
 
     #[test]
-    fn fitting_keeps_normals_across_the_surface() {
+    fn fitting_keeps_normals_perpendicular() {
         let mut ball = Mesh::default();
         ball.ellipsoid(DVec3::ZERO, DVec3::ONE, [64, 96], SKIN);
         ball.smooth(0.7);

@@ -17,7 +17,7 @@ fn bodies(seeds: std::ops::Range<u64>) -> impl Iterator<Item = Body> {
 }
 
 #[test]
-fn a_size_is_that_of_the_mesh_over_all_poses() {
+fn size_bounds_all_poses() {
     for body in bodies(100..130) {
         let bounds = (0..body.poses()).map(|pose| body.mesh(pose).bounds().unwrap());
         let [low, high] = bounds.reduce(union).unwrap();
@@ -29,7 +29,7 @@ fn a_size_is_that_of_the_mesh_over_all_poses() {
 
 /// Fitting to the size changes a shape by less than 3 %.
 #[test]
-fn shapes_come_out_about_as_large_as_they_are_told() {
+fn meshes_match_their_drawn_sizes() {
     for body in bodies(0..30) {
         let drawn = body.drawn();
         let [low, high] = match &drawn {
@@ -50,7 +50,7 @@ fn shapes_come_out_about_as_large_as_they_are_told() {
 }
 
 #[test]
-fn triangles_have_area_and_corners_have_unit_normals_to_their_outside() {
+fn triangles_and_normals_are_valid() {
     for body in bodies(0..12) {
         let mesh = body.mesh(3);
         let few = match body.kind {
@@ -74,7 +74,7 @@ fn triangles_have_area_and_corners_have_unit_normals_to_their_outside() {
 
 /// No back face is visible from outside: meshes have no holes, and all triangles face outward.
 #[test]
-fn no_inside_can_be_seen_from_outside() {
+fn insides_are_not_visible_from_outside() {
     let mut directions = vec![DVec3::NEG_Z];
     for i in 0..12 {
         let (sin, cos) = (f64::from(i) * std::f64::consts::FRAC_PI_6 + 0.1).sin_cos();
@@ -95,7 +95,7 @@ fn no_inside_can_be_seen_from_outside() {
 }
 
 #[test]
-fn seeds_tell_bodies_apart_and_nothing_else_does() {
+fn bodies_depend_only_on_their_seed() {
     for kind in CARS.into_iter().chain(OTHERS) {
         let body = |seed| Body { kind, seed };
         let sizes: BTreeSet<[u64; 3]> =
@@ -111,7 +111,7 @@ fn seeds_tell_bodies_apart_and_nothing_else_does() {
 }
 
 #[test]
-fn boxes_fall_into_the_kinds_of_templates_that_names_say() {
+fn box_sizes_select_the_matching_template() {
     let share = |kind, heights: std::ops::Range<f64>| {
         let within = (0..400).filter(|seed| heights.contains(&Body { kind, seed: *seed }.size_m().z));
         within.count() as f64 / 400.0
@@ -127,7 +127,7 @@ fn boxes_fall_into_the_kinds_of_templates_that_names_say() {
 }
 
 #[test]
-fn poses_follow_the_way_and_keep_feet_on_the_ground() {
+fn poses_follow_distance_and_keep_feet_on_ground() {
     for body in bodies(0..8).filter(|b| b.poses() > 1) {
         let cycle_m = match body.drawn() {
             Drawn::Walker(walker) => walker.cycle_m(),
@@ -151,7 +151,7 @@ fn poses_follow_the_way_and_keep_feet_on_the_ground() {
 
 /// A walker does not slide: the stance foot moves back as fast as the body moves forward.
 #[test]
-fn a_standing_foot_stays_where_it_is() {
+fn stance_foot_does_not_slide() {
     for seed in 0..6 {
         let body = Body { kind: BodyKind::Walker, seed };
         let Drawn::Walker(walker) = body.drawn() else { panic!() };
@@ -177,7 +177,7 @@ fn silhouette(mesh: &Mesh, direction: DVec3) -> BTreeSet<[i64; 2]> {
 
 /// The fallback template of a height has nearly the silhouette of every body.
 #[test]
-fn silhouettes_are_those_of_the_typical_body_in_the_same_box() {
+fn silhouettes_match_the_template_in_the_same_box() {
     let views = [
         DVec3::new(0.0, -1.0, 0.0),
         DVec3::new(-1.0, 0.0, 0.0),
@@ -213,7 +213,7 @@ fn silhouettes_are_those_of_the_typical_body_in_the_same_box() {
 }
 
 #[test]
-fn surfaces_are_what_can_be_seen() {
+fn surface_points_are_visible() {
     let mut mesh = Mesh::default();
     let skin = |tone: u8| Skin::new([tone; 3], Surface::Plain);
     mesh.block(DVec3::new(-1.0, -0.5, 0.0), DVec3::new(1.0, 0.5, 0.8), skin(200));

@@ -95,7 +95,7 @@ mod tests {
     }
 
     #[test]
-    fn places_along_a_line_and_back() {
+    fn positions_along_a_line_round_trip() {
         let path = polyline(&circle(20.0, 90));
         for along_m in [-3.0, 0.0, 0.4, 7.7, 30.0, path.length_m(), path.length_m() + 2.0] {
             let (point, direction) = path.at(along_m);
@@ -123,7 +123,7 @@ mod tests {
     }
 
     #[test]
-    fn the_curvature_of_a_circle() {
+    fn curvature_of_a_circle_is_constant() {
         let curvature = curvature(&circle(8.0, 30));
         assert!(curvature[1..30].iter().all(|k| (k - 0.125).abs() < 1e-9));
         let polygon = circle(8.0, 30);

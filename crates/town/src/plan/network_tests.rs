@@ -15,7 +15,7 @@ fn last_direction(line: &[DVec2]) -> DVec2 {
 }
 
 #[test]
-fn outlines_of_junctions_are_stars_that_end_at_the_mouths_of_roads() {
+fn junction_outlines_are_star_shaped_and_meet_roads() {
     for (seed, network) in networks() {
         for (index, junction) in network.junctions.iter().enumerate() {
             let n = junction.outline.len();
@@ -44,7 +44,7 @@ fn outlines_of_junctions_are_stars_that_end_at_the_mouths_of_roads() {
 }
 
 #[test]
-fn no_road_lies_on_another_or_on_a_junction() {
+fn roads_and_junctions_do_not_overlap() {
     for (seed, network) in networks() {
         let outlines: Vec<Vec<DVec2>> = network.roads.iter().map(Road::outline).collect();
         let areas: Vec<&Vec<DVec2>> =
@@ -64,7 +64,7 @@ fn no_road_lies_on_another_or_on_a_junction() {
 }
 
 #[test]
-fn lanes_go_on_where_the_ones_before_end() {
+fn lanes_continue_their_predecessors() {
     for (seed, network) in networks() {
         let mut ids: Vec<&str> = network.lanes.iter().map(|lane| lane.id.as_str()).collect();
         ids.sort_unstable();
@@ -118,7 +118,7 @@ fn traffic_keeps_to_the_right() {
 }
 
 #[test]
-fn crossings_and_stop_lines_stand_before_junctions() {
+fn crossings_and_stop_lines_precede_junctions() {
     for (seed, network) in networks() {
         for crossing in &network.crossings {
             let road = &network.roads[crossing.road];
@@ -143,7 +143,7 @@ fn crossings_and_stop_lines_stand_before_junctions() {
 }
 
 #[test]
-fn lights_are_never_green_both_ways() {
+fn conflicting_lights_are_never_both_green() {
     let (_, network) = networks().next().unwrap();
     let mut seen = [0; 3];
     for (index, junction) in network.junctions.iter().enumerate() {
@@ -168,7 +168,7 @@ fn lights_are_never_green_both_ways() {
 }
 
 #[test]
-fn a_seed_gives_one_town_and_another_seed_another() {
+fn seeds_determine_distinct_networks() {
     let text = |seed: u64| format!("{:?}", Network::new(seed));
     let towns: Vec<String> = (0..20).map(text).collect();
     assert_eq!(towns[3], text(3));
@@ -178,7 +178,7 @@ fn a_seed_gives_one_town_and_another_seed_another() {
 }
 
 #[test]
-fn most_towns_have_no_plain_grid_and_all_have_an_avenue() {
+fn towns_have_bent_streets_and_an_avenue() {
     let bent = networks().filter(|(_, network)| {
         network.roads.iter().any(|road| curvature(&road.centerline).iter().any(|k| k.abs() > 0.008))
     });

@@ -93,7 +93,7 @@ mod tests {
     use crate::mesh::{Skin, Surface};
 
     #[test]
-    fn every_triangle_has_a_corner_of_its_own() {
+    fn every_triangle_has_its_own_provoking_corner() {
         let mut mesh = Mesh::default();
         mesh.block(DVec3::ZERO, DVec3::ONE, Skin::new([9; 3], Surface::Plain));
         // Adds a fan around one corner, and more triangles than corners.
@@ -118,7 +118,7 @@ mod tests {
     }
 
     #[test]
-    fn a_missing_corner_is_named() {
+    fn rejects_missing_corners() {
         let mut mesh = Mesh::default();
         mesh.block(DVec3::ZERO, DVec3::ONE, Skin::new([9; 3], Surface::Plain));
         mesh.triangles[3][1] = 24;

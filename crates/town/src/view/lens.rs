@@ -111,7 +111,7 @@ mod tests {
     }
 
     #[test]
-    fn boxes_out_of_view_are_left_out() {
+    fn boxes_out_of_view_are_culled() {
         let rows = [[50.0, 0.0, 50.0], [0.0, 50.0, 50.0], [0.0, 0.0, 1.0]];
         let camera = Camera::new("c", 100, 100, rows).unwrap();
         let view = View { camera, camera_from_world: DAffine3::IDENTITY };

@@ -94,7 +94,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_sun_stands_where_the_seed_says() {
+    fn seed_determines_the_sun() {
         for daylight in [Daylight::Day, Daylight::Dusk, Daylight::Overcast] {
             let [a, again, b] = [1, 1, 2].map(|seed| Light::new(daylight, seed));
             assert!(a == again && a.towards_sun != b.towards_sun, "{daylight:?}");

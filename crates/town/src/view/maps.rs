@@ -195,7 +195,7 @@ mod tests {
     use crate::Daylight;
 
     #[test]
-    fn maps_step_in_whole_texels_and_hold_the_camera() {
+    fn shadow_maps_move_in_whole_texels_around_the_camera() {
         let light = Light::new(Daylight::Dusk, 5);
         for (side, half) in MAPS {
             let texel = 2.0 * half / f64::from(side);
@@ -226,7 +226,7 @@ mod tests {
     }
 
     #[test]
-    fn the_place_nearer_to_the_sun_is_less_deep() {
+    fn depth_increases_away_from_the_sun() {
         let light = Light::new(Daylight::Day, 5);
         let rows = Frames::new(&light, DVec3::ZERO).texel_rows(DVec3::ZERO);
         let at = |p: DVec3| rows[0].map(|row| row.dot(p.extend(1.0)));

@@ -205,7 +205,7 @@ mod tests {
     /// Sums in double precision, with the weights of the definition, differ by rounding alone, whatever the
     /// order of looks.
     #[test]
-    fn agreed_colors_are_those_of_the_definition() {
+    fn agreed_colors_match_the_definition() {
         let number = |i: i64, axis: i64| crate::hash::between(11, &[i, axis], 0.0, 1.0);
         let naive = |looks: &[ColorSample]| {
             let mut color = [f64::NAN; 3];
@@ -242,7 +242,7 @@ mod tests {
     /// Means over whole squares equal means over clipped ones, at every pixel of an image up to its last
     /// byte.
     #[test]
-    fn means_of_squares_are_those_of_clipped_squares() {
+    fn square_means_equal_clipped_means() {
         let rows = [[100.0, 0.0, 20.0], [0.0, 100.0, 20.0], [0.0, 0.0, 1.0]];
         let camera = Camera::new("c", 23, 17, rows).unwrap();
         let level = |x: u32, y: u32, c: i64| {
@@ -261,7 +261,7 @@ mod tests {
     }
 
     #[test]
-    fn recorded_images_are_looked_at_through_their_lens() {
+    fn recorded_images_are_sampled_through_their_lens() {
         let rows = [[700.0, 0.0, 800.0], [0.0, 705.0, 450.0], [0.0, 0.0, 1.0]];
         let pinhole = Camera::new("c", 1600, 900, rows).unwrap();
         let distortion = Distortion::from_opencv([-0.28, 0.071, 0.0011, -0.0007, -0.0079]);

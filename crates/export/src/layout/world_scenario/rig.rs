@@ -92,7 +92,7 @@ mod tests {
 
     /// The cameras of nuScenes and one of 120 degrees.
     #[test]
-    fn the_polynomial_is_that_of_a_pinhole() {
+    fn polynomial_approximates_a_pinhole() {
         for (focal, far, bound_px) in [(1266.4, 930.0, 0.03), (809.2, 940.0, 0.06), (554.0, 1100.0, 0.7)] {
             let k = polynomial(focal, far);
             for i in 0..=1000 {
@@ -105,7 +105,7 @@ mod tests {
     }
 
     #[test]
-    fn a_camera_that_looks_left_has_yaw_90() {
+    fn yaw_is_positive_to_the_left() {
         let axes = DMat3::from_cols(DVec3::NEG_Y, DVec3::NEG_Z, DVec3::X);
         let rotation = DQuat::from_rotation_z(1.2) * DQuat::from_rotation_y(0.1) * DQuat::from_mat3(&axes);
         let [roll, pitch, yaw] = roll_pitch_yaw(rotation);

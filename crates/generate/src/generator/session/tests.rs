@@ -141,7 +141,7 @@ fn parts(drive: &Grey, calls_before: Option<usize>) -> SessionParts<'_> {
 
 /// It stays failed even if a retry could succeed: the retry would be of another frame, or without ego motion.
 #[test]
-fn a_session_that_failed_makes_no_step() {
+fn failed_sessions_reject_further_steps() {
     let (drive, folder) = (Grey::new(), tempfile::tempdir().unwrap());
     let skeleton = nothing(&folder.path().join("sk"));
     let rasterizer = RasterizerDesc::from(RasterizerKind::Cpu);

@@ -177,7 +177,7 @@ mod tests {
     }
 
     #[test]
-    fn layouts_need_a_recording() {
+    fn layouts_and_tensors_need_a_recording() {
         for (maps, whole) in [("color,point", false), ("map", true), ("depth,boxes", true), ("tensor", true)]
         {
             let drive = args(&format!("nuscenes:log --skeleton sk --maps {maps}"));

@@ -73,7 +73,7 @@ mod tests {
     }
 
     #[test]
-    fn the_table_has_a_line_for_everything() {
+    fn table_lists_all_results() {
         let notes = BTreeMap::from([("points", "3 not finite".to_owned())]);
         let table = table(&result(), &notes);
         for text in [
@@ -95,7 +95,7 @@ mod tests {
     }
 
     #[test]
-    fn json_has_the_names_of_the_command_line() {
+    fn json_uses_command_line_names() {
         let json = serde_json::to_value(result()).unwrap();
         assert_eq!((&json["rasterizer"], &json["driver"]), (&"cpu".into(), &"plain".into()));
         assert_eq!(json["frame_ms"], serde_json::json!({"min": 10.0, "median": 20.0, "max": 40.0}));

@@ -3,8 +3,8 @@ use std::sync::Arc;
 
 use anyhow::Context;
 use clap::Args;
-#[cfg(feature = "mcap")]
 use point_skeleton::Log;
+#[cfg(feature = "mcap")]
 use point_skeleton::conditions::MapFormat;
 use point_skeleton::conditions::write::meta::PromptParts;
 use point_skeleton::dataset::{LogLocator, LogOpener, MovedEgo};

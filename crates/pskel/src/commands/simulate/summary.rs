@@ -108,7 +108,7 @@ mod tests {
     }
 
     #[test]
-    fn results_are_short() {
+    fn formats_short_results() {
         let smooth = "; comfortable; at most 0.46 m and 5.7 degrees off the recorded path";
         for (faults, begin) in [
             (&[][..], "0 collisions"),

@@ -68,7 +68,7 @@ fn walks(actor: &Actor) -> bool {
 }
 
 #[test]
-fn the_test_of_boxes_tells_them_apart() {
+fn box_overlap_test() {
     let at = |x, yaw| corners(&Pose::from_yaw(yaw, DVec3::new(x, 0.0, 0.0)), [4.0, 2.0], 0.0);
     assert!(meet(&at(0.0, 0.0), &at(3.9, 0.0)) && !meet(&at(0.0, 0.0), &at(4.1, 0.0)));
     assert!(meet(&at(0.0, 0.0), &at(2.9, PI / 2.0)) && !meet(&at(0.0, 0.0), &at(3.1, PI / 2.0)));
@@ -77,7 +77,7 @@ fn the_test_of_boxes_tells_them_apart() {
 }
 
 #[test]
-fn nobody_meets_anybody() {
+fn actors_do_not_collide() {
     let (mut all, mut dropped) = (0, 0);
     for case in cases() {
         let traffic = &case.traffic;
@@ -101,7 +101,7 @@ fn nobody_meets_anybody() {
 }
 
 #[test]
-fn streets_are_alive() {
+fn towns_have_enough_traffic() {
     for Case { seed, traffic, .. } in cases() {
         let count = |keep: &dyn Fn(&Actor) -> bool| traffic.actors.iter().filter(|a| keep(a)).count();
         let here = |actor: &Actor| {
@@ -130,7 +130,7 @@ fn streets_are_alive() {
 }
 
 #[test]
-fn the_ego_begins_on_the_left_lane_of_an_avenue_and_drives_on() {
+fn ego_starts_on_an_avenues_left_lane_and_keeps_driving() {
     let mut beside = 0;
     for Case { seed, network, traffic, .. } in cases() {
         let ego = traffic.ego.pose(0.0);
@@ -165,7 +165,7 @@ fn speeds_mps(motion: &Motion, ahead: f64) -> Vec<f64> {
 }
 
 #[test]
-fn everybody_moves_gently() {
+fn actors_move_within_dynamic_limits() {
     for Case { seed, traffic, .. } in cases() {
         let ego = ("ego", &traffic.ego, EGO[2], 2.1, 2.5, 1.0);
         let others = traffic.actors.iter().filter(moves).map(|actor| {
@@ -193,7 +193,7 @@ fn everybody_moves_gently() {
 }
 
 #[test]
-fn everybody_keeps_to_lanes_and_sidewalks() {
+fn actors_stay_on_lanes_and_sidewalks() {
     for Case { seed, network, traffic, .. } in cases() {
         let lanes: Vec<Vec<DVec2>> = network.lanes.iter().map(|lane| lane.outline()).collect();
         let roads: Vec<Vec<DVec2>> = network.roads.iter().map(|road| road.outline()).collect();
@@ -246,7 +246,7 @@ fn distance_m(area: &[DVec2], p: DVec2) -> f64 {
 }
 
 #[test]
-fn nobody_passes_a_red_light_or_a_stop_sign() {
+fn vehicles_obey_lights_and_stop_signs() {
     let (mut halted, mut passed_lights) = (0, 0);
     for Case { seed, network, traffic, .. } in cases() {
         for (line, lane) in &network.stop_lines {
@@ -293,7 +293,7 @@ fn nobody_passes_a_red_light_or_a_stop_sign() {
 }
 
 #[test]
-fn parked_vehicles_stand_in_strips_away_from_crossings() {
+fn parked_vehicles_stay_in_strips_away_from_crossings() {
     let (mut taken_m, mut room_m) = (0.0, 0.0);
     for Case { seed, network, traffic, .. } in cases() {
         let parked: Vec<&Actor> = traffic.actors.iter().filter(|a| !moves(a)).collect();
@@ -334,7 +334,7 @@ fn parked_vehicles_stand_in_strips_away_from_crossings() {
 }
 
 #[test]
-fn the_same_seed_has_the_same_traffic_and_others_have_other() {
+fn seed_determines_traffic() {
     let case = &cases()[3];
     let again = Traffic::new(&Network::new(3), 3, SECONDS);
     assert_eq!(format!("{:?}", case.traffic), format!("{again:?}"));
