@@ -6,7 +6,7 @@ packages := "--workspace --exclude pskel-shaders"
 default:
     @just --list
 
-# Installs missing system packages (apt); without --yes only lists them.
+# Lists missing system packages; --yes installs them with apt.
 setup *args:
     ci/setup.sh {{ args }}
 
@@ -22,7 +22,7 @@ test-core *filters:
 test *filters:
     cargo test --locked {{ packages }} --no-fail-fast -- {{ filters }}
 
-# Everything that CI runs (about 45 minutes on two cores).
+# Everything: what CI runs on every change.
 ci:
     ci/test.sh
 
@@ -34,13 +34,14 @@ python *args:
 fmt:
     cargo fmt --all
 
-# Format, import cycles and lints.
+# Format, import cycles, README and lints.
 lint:
     cargo fmt --all --check
     python3 ci/cycles.py
+    python3 ci/readme.py
     cargo clippy {{ packages }} --all-targets --locked -- -D warnings
 
-# API documentation.
+# API documentation, in target/doc.
 doc:
     RUSTDOCFLAGS=-Dwarnings cargo doc {{ packages }} --no-deps --locked
 
@@ -52,21 +53,25 @@ book:
 demo *log:
     ci/demo.sh {{ log }}
 
-# Time per frame and per stage on a synthetic street.
+# Time per frame on a synthetic street (Criterion).
 bench *args:
-    cargo bench --locked -p pskel-eval {{ args }}
+    cargo bench --locked {{ packages }} --bench frame -- {{ args }}
+
+# The moving picture of README.md (needs Pillow).
+picture: build
+    PSKEL=target/release/pskel python3 ci/picture.py
 
 # Hashes of what the command writes: two versions that print the same lines render the same maps.
 golden shared="../shared": build
     python3 ci/golden.py target/release/pskel {{ shared }}
 
-# Fuzzes all readers and protocols.
+# Coverage-guided fuzzing of all readers and protocols.
 fuzz minutes="10" *targets:
     ci/fuzz.sh {{ minutes }} {{ targets }}
 
 # Licenses, advisories and sources of the dependencies (cargo install cargo-deny).
 deny:
-    cargo deny check
+    cargo deny --all-features check
 
 # Spelling (cargo install typos-cli).
 typos:

@@ -1,8 +1,9 @@
 #!/usr/bin/env python3
-"""Checks README, CONTRIBUTING and the book in docs: ci/book.py
+"""Checks the book in docs, and the links of README, CONTRIBUTING and the like: ci/book.py
 
-Every page of docs is in SUMMARY.md, and every relative link leads to an existing file and heading. Builds the book into
-a temporary folder if mdbook is installed. Prints the number of pages and links; exits with 1 and a list of errors."""
+Every page is in SUMMARY.md, every entry of SUMMARY.md exists, and every relative link leads to an existing file and
+heading. Builds the book into a temporary folder if mdbook is installed. Prints the number of pages and links; exits with 1
+and a list of errors otherwise."""
 
 import re
 import shutil
@@ -12,29 +13,29 @@ import tempfile
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
-LINK = re.compile(r"(?<!\\)\[[^\]]*\]\(([^)\s]+)\)")
+BOOK = ROOT / "docs"
+LINK = re.compile(r"\]\(([^)\s]+)\)")
 
 
 def text_of(path):
-    """Returns the text of a page without code blocks and code."""
-    return re.sub(r"`[^`\n]*`", "", re.sub(r"^```.*?^```", "", path.read_text(), flags=re.S | re.M))
+    """Returns the text of a page without code blocks."""
+    return re.sub(r"^ *```.*?^ *```", "", path.read_text(), flags=re.S | re.M)
 
 
 def anchors(path):
     """Returns the anchors of a page's headings, as GitHub and mdBook name them."""
-    headings = re.findall(r"^#+ (.*)$", re.sub(r"^```.*?^```", "", path.read_text(), flags=re.S | re.M), flags=re.M)
-    plain = (re.sub(r"[^\w\- ]", "", heading.lower()) for heading in headings)
-    return {heading.strip().replace(" ", "-") for heading in plain}
+    headings = re.findall(r"^#+ (.*)$", text_of(path), flags=re.M)
+    return {re.sub(r"[^\w\- ]", "", re.sub(r"\]\(.*?\)", "", heading).lower()).replace(" ", "-") for heading in headings}
 
 
 def main():
-    docs = ROOT / "docs"
-    pages = sorted(path for path in docs.rglob("*.md"))
-    listed = {(docs / target).resolve() for target in LINK.findall(text_of(docs / "SUMMARY.md"))}
-    errors = [f"{page.relative_to(ROOT)}: not in SUMMARY.md" for page in pages if page.resolve() not in listed | {docs / "SUMMARY.md"}]
+    summary = BOOK / "src/SUMMARY.md"
+    pages = sorted(set(BOOK.rglob("*.md")) - {summary})
+    listed = {(summary.parent / target).resolve() for target in LINK.findall(text_of(summary))}
+    errors = [f"{page.relative_to(ROOT)}: not in SUMMARY.md" for page in pages if page not in listed]
     links = 0
-    for page in [*ROOT.glob("*.md"), *pages]:
-        for link in LINK.findall(text_of(page)):
+    for page in [*sorted(ROOT.glob("*.md")), summary, *pages]:
+        for link in LINK.findall(re.sub(r"`[^`\n]*`", "", text_of(page))):
             if re.match(r"[a-z]+:", link):
                 continue
             links += 1
@@ -42,14 +43,13 @@ def main():
             target = (page.parent / name).resolve() if name else page
             if not target.exists():
                 errors.append(f"{page.relative_to(ROOT)}: no file {link}")
-            elif anchor and target.suffix == ".md" and anchor not in anchors(target):
+            elif anchor and anchor not in anchors(target):
                 errors.append(f"{page.relative_to(ROOT)}: no heading {link}")
     if shutil.which("mdbook"):
         with tempfile.TemporaryDirectory() as out:
-            built = subprocess.run(["mdbook", "build", str(docs), "--dest-dir", out], capture_output=True, text=True)
+            built = subprocess.run(["mdbook", "build", str(BOOK), "--dest-dir", out], capture_output=True, text=True)
             errors += [built.stderr.strip()] if built.returncode else []
-    print(*errors, sep="\n", end="\n" if errors else "")
-    print(f"book: {len(pages)} pages, {links} links, {len(errors)} errors")
+    print(*errors, f"book: {len(pages)} pages, {links} links", sep="\n")
     return 1 if errors else 0
 
 

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Renders the moving picture of README.md: ci/picture.py [OUT.webp] (default docs/rollout.webp)
+"""Renders the moving picture of README.md: ci/picture.py [OUT.webp] (default docs/images/rollout.webp)
 
 Simulates a lane change in a synthetic town with generated images. The rows of the picture are maps of the front cameras,
 generated images and ground truth, five times a second. Needs Pillow and the program PSKEL (default pskel). Renders into
@@ -71,7 +71,7 @@ def frame(step):
 
 
 def main():
-    out = Path(sys.argv[1] if len(sys.argv) > 1 else Path(__file__).resolve().parent.parent / "docs/rollout.webp")
+    out = Path(sys.argv[1] if len(sys.argv) > 1 else Path(__file__).resolve().parent.parent / "docs/images/rollout.webp")
     with tempfile.TemporaryDirectory() as scratch:
         work = Path(os.environ.get("WORK", scratch))
         if not (work / "rollout/index.html").exists():

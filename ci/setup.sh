@@ -1,22 +1,31 @@
 #!/usr/bin/env bash
-# Checks the build and test dependencies other than the Rust toolchain: ci/setup.sh [--yes]
+# Checks the system packages that building and testing need: ci/setup.sh [--yes] [--tests]
 #
-# These are C and C++ compilers (for SQLite and the video encoder), a Vulkan loader, a CPU driver (Mesa's lavapipe), the
-# validation layer, and Python (for planners in the tests, and for the Python package). Optional is a second driver,
-# SwiftShader; without it, tests on a second driver are skipped.
-# Lists what is missing and the command that installs it. Installs it with --yes, or if CI is set in the environment.
-# Prints nothing if everything is installed; exits with 1 if something required is missing.
+# Building and rendering need C and C++ compilers (for SQLite and the video encoder), a Vulkan loader and a driver (Mesa's
+# lavapipe needs no GPU). Tests also need Vulkan's validation layer and Python (for planners, and for the Python package).
+# Optional for tests is a second driver, SwiftShader; without it, tests on a second driver are skipped.
+#
+# Lists what is missing, and the command that installs it. Installs only with --yes, or if CI is set in the environment.
+# Exits with 1 if a package that building needs is still missing; with --tests, also one that tests need. Never installs
+# Rust. Prints nothing if everything is installed.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
 say() { echo "setup: $*" >&2; }
 
-install=${CI:+yes}
-case "${1:-}" in
-    --yes) install=yes ;;
-    "") ;;
-    *) say "usage: ci/setup.sh [--yes]"; exit 2 ;;
-esac
+yes=${CI:-}
+tests=
+for argument in "$@"; do
+    case $argument in
+    --yes) yes=1 ;;
+    --tests) tests=1 ;;
+    *)
+        say "expected ci/setup.sh [--yes] [--tests], found $argument"
+        exit 2
+        ;;
+    esac
+done
+case $yes in 0 | false) yes= ;; esac
 
 # Succeeds if any of the given globs matches a file.
 any_file() {
@@ -50,83 +59,84 @@ has_swiftshader() {
     any_file /usr/lib*/{chromium,chromium-browser}/vk_swiftshader_icd.json /opt/google/chrome/vk_swiftshader_icd.json
 }
 
+# Packages that building and rendering need.
 missing() {
     has_compilers || echo g++
-    command -v python3 >/dev/null || echo python3
-    python3 -c 'import ensurepip, venv' 2>/dev/null || echo python3-venv
     has_loader || echo libvulkan1
     has_driver || echo mesa-vulkan-drivers
+}
+
+# Packages that only tests need.
+missing_tests() {
+    command -v python3 >/dev/null || echo python3
+    python3 -c 'import ensurepip, venv' 2>/dev/null || echo python3-venv
     has_layer || echo vulkan-validationlayers
 }
 
-check_cargo() {
+# Succeeds if cargo is installed, at least in the version of Cargo.toml.
+has_cargo() {
     local wanted found
     wanted=$(sed -n 's/^rust-version = "\(.*\)"/\1/p' Cargo.toml)
     if ! command -v cargo >/dev/null; then
-        say "expected cargo (Rust $wanted or later), found none: see https://rustup.rs"
-        exit 1
+        say "missing: Rust $wanted or later, see https://rustup.rs"
+        return 1
     fi
     found=$(cargo --version | cut -d' ' -f2)
     if [ "$(printf '%s\n' "$wanted" "$found" | sort -V | head -n1)" != "$wanted" ]; then
-        say "expected Rust $wanted or later, found $found: run rustup update"
-        exit 1
+        say "missing: Rust $wanted or later (found $found): run rustup update"
+        return 1
     fi
 }
 
-# Runs apt-get as root.
-apt() {
-    local root=()
-    [ "$(id -u)" -eq 0 ] || root=(sudo)
-    "${root[@]}" env DEBIAN_FRONTEND=noninteractive apt-get "$@"
+# Prints the prefix of commands that need root.
+as_root() { [ "$(id -u)" -eq 0 ] || echo "sudo "; }
+
+can_install() { command -v apt-get >/dev/null && { [ "$(id -u)" -eq 0 ] || command -v sudo >/dev/null; }; }
+
+install() {
+    local root
+    root=$(as_root)
+    say "installing $*"
+    $root env DEBIAN_FRONTEND=noninteractive apt-get update -qq || true # package lists of earlier updates may do
+    $root env DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends "$@" >/dev/null
 }
 
-install_packages() {
-    if ! command -v apt-get >/dev/null; then
-        say "expected a C++ compiler, the Vulkan loader, a driver, the validation layer and Python, found no $*"
+# Lists packages, and the command that installs them.
+advise() {
+    if command -v apt-get >/dev/null; then
+        say "run ci/setup.sh --yes, or: $(as_root)apt-get install --no-install-recommends $*"
+    else
         say "install them with this system's package manager (Fedora: gcc-c++ vulkan-loader mesa-vulkan-drivers" \
             "vulkan-validation-layers python3; Arch: gcc vulkan-icd-loader vulkan-swrast vulkan-validation-layers python)"
-        exit 1
-    fi
-    if [ "$(id -u)" -ne 0 ] && ! command -v sudo >/dev/null; then
-        say "expected root or sudo to install $*, found neither: run apt-get install $* as root"
-        exit 1
-    fi
-    say "installing $*"
-    apt update -qq
-    apt install -y -qq --no-install-recommends "$@" >/dev/null
-}
-
-# Optional: a failed installation is reported, but is no error.
-install_swiftshader() {
-    local package=chromium-common
-    if ! command -v apt-get >/dev/null || { [ "$(id -u)" -ne 0 ] && ! sudo -n true 2>/dev/null; }; then
-        say "SwiftShader (part of Chromium) is missing: tests on a second driver will be skipped"
-        return
-    fi
-    say "installing $package (SwiftShader)"
-    apt update -qq || true
-    if ! apt install -y -qq --no-install-recommends "$package" >/dev/null || ! has_swiftshader; then
-        say "no SwiftShader from $package: tests on a second driver will be skipped"
     fi
 }
 
-check_cargo
+status=0
+has_cargo || status=1
+mapfile -t required < <(missing)
+mapfile -t wanted < <(missing_tests)
 optional=()
 has_swiftshader || optional=(chromium-common)
-mapfile -t packages < <(missing)
-if [ -z "$install" ] && [ "$((${#packages[@]} + ${#optional[@]}))" -gt 0 ]; then
-    [ "${#packages[@]}" -eq 0 ] || say "missing: ${packages[*]}"
-    [ "${#optional[@]}" -eq 0 ] || say "missing, for tests on a second driver only: ${optional[*]}"
-    say "run ci/setup.sh --yes, or: sudo apt-get install --no-install-recommends ${packages[*]} ${optional[*]}"
-    [ "${#packages[@]}" -eq 0 ]
-    exit
-fi
-if [ "${#packages[@]}" -gt 0 ]; then
-    install_packages "${packages[@]}"
-    mapfile -t packages < <(missing)
-    if [ "${#packages[@]}" -gt 0 ]; then
-        say "expected files of ${packages[*]} after installing them, found none"
-        exit 1
+
+if [ -n "$yes" ] && can_install; then
+    if [ "$((${#required[@]} + ${#wanted[@]}))" -gt 0 ]; then
+        install "${required[@]}" "${wanted[@]}" || say "apt-get failed"
+        mapfile -t required < <(missing)
+        mapfile -t wanted < <(missing_tests)
+    fi
+    # A failed installation is no error.
+    if [ "${#optional[@]}" -gt 0 ]; then
+        install "${optional[@]}" || say "apt-get failed"
+        if has_swiftshader; then optional=(); fi
     fi
 fi
-has_swiftshader || install_swiftshader
+
+[ "${#required[@]}" -eq 0 ] || say "missing: ${required[*]}"
+[ "${#wanted[@]}" -eq 0 ] || say "missing, for tests only: ${wanted[*]}"
+[ "${#optional[@]}" -eq 0 ] || say "missing, only for tests on a second driver, which are skipped without: ${optional[*]}"
+all=("${required[@]}" "${wanted[@]}" "${optional[@]}")
+[ "${#all[@]}" -eq 0 ] || advise "${all[@]}"
+if [ "${#required[@]}" -gt 0 ] || { [ -n "$tests" ] && [ "${#wanted[@]}" -gt 0 ]; }; then
+    status=1
+fi
+exit "$status"

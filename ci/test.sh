@@ -4,7 +4,8 @@
 # last line is `N passed, N failed, N skipped`. A test is skipped if its recordings or fixtures are missing (PSKEL_SHARED, PSKEL_FIXTURES) or if the second
 # driver lacks a feature; a second driver that is not installed, and a Python environment that cannot be downloaded,
 # count as one skipped test each. PSKEL_NO_BROWSER=1 skips the
-# browser. PSKEL_ARTIFACTS is a folder for the accuracy table of the demo and screenshots of its page. Exits with 1 on
+# browser. Nothing is installed unless CI is set. Spelling and dependencies are checked if typos and cargo-deny are
+# installed. PSKEL_ARTIFACTS is a folder for the accuracy table of the demo and screenshots of its page. Exits with 1 on
 # any failure.
 set -euo pipefail
 cd "$(dirname "$0")/.."
@@ -79,20 +80,26 @@ run_demo() {
     fi
 }
 
-# A separate step, because it installs Chromium if it is missing.
+# A separate step: ci/page.sh installs Chromium if it is missing, which only CI may do unasked.
 run_page() {
     if [ "${PSKEL_NO_BROWSER:-0}" = 1 ]; then
         say "PSKEL_NO_BROWSER: the page is not tested in a browser"
         return
     fi
+    if [ -z "${CI:-}" ] && ! command -v chromium && ! command -v chromium-browser && ! command -v google-chrome; then
+        say "Chromium is not installed: the page is not tested in a browser"
+        return
+    fi >/dev/null
     ci/page.sh "$scratch/demo/rollout" ${PSKEL_ARTIFACTS:+"$PSKEL_ARTIFACTS"}
 }
 
-step ci/setup.sh
+step ci/setup.sh --tests
 step cargo fmt --all --check
 step python3 ci/cycles.py
 step python3 ci/readme.py
 step python3 ci/book.py
+if command -v typos >/dev/null; then step typos; fi
+if command -v cargo-deny >/dev/null; then step cargo deny --all-features check licenses bans sources; fi # advisories need a network
 step cargo clippy "${packages[@]}" --all-targets --locked -- -D warnings
 # The smallest builds: the core without formats, and the command without town, network and video.
 step cargo clippy -p point-skeleton --no-default-features --locked -- -D warnings

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""A denoiser (docs/DENOISER.md) without weights: it outputs the color conditions at an eighth of their size.
+"""A denoiser (docs/src/reference/denoiser.md) without weights: it outputs the color conditions at an eighth of their size.
 Uses standard input and output (denoiser.py), or a socket named as for pskel (denoiser.py unix:PATH|tcp:HOST:PORT)."""
 import array, json, pathlib, socket, struct, sys
 

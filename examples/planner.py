@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""A planner for `pskel simulate` (docs/PLANNER.md): follows the recorded path, stops for actors on it and at its end.
+"""A planner for `pskel simulate` (docs/src/reference/planner.md): follows the recorded path, stops for actors on it and at its end.
 Uses standard input and output (planner.py), or a socket named as for --planner (planner.py unix:PATH|tcp:HOST:PORT)."""
 import json
 import math

@@ -6,15 +6,15 @@
 //! yields a color map, a metric depth map, a class mask, an instance mask and layouts of boxes and HD map.
 //!
 //! ```no_run
-//! use point_skeleton::{EgoOffset, Log, RenderOptions, Renderer, Skeleton};
+//! use point_skeleton::{EgoOffset, Error, Log, RenderOptions, Renderer, Skeleton};
 //!
-//! fn main() -> Result<(), point_skeleton::Error> {
-//!     let log = Log::open("nuscenes:/data/nuscenes@v1.0-mini#scene-0061")?;
+//! fn main() -> Result<(), Error> {
+//!     let log = Log::open("/data/nuscenes#scene-0061")?;
 //!     let skeleton = Skeleton::build(&log, "out/skeleton", &Default::default())?;
 //!     let mut renderer = Renderer::new(&skeleton, RenderOptions::default())?;
+//!     let offset = EgoOffset { left_m: -2.0, yaw_deg: 5.0, ..Default::default() };
 //!     for frame in log.frames() {
-//!         let one_lane_left = EgoOffset { left_m: 3.5, ..EgoOffset::default() };
-//!         let maps = renderer.render(&frame.moved(one_lane_left))?;
+//!         let maps = renderer.render(&frame.moved(offset))?;
 //!         maps.write(format!("out/maps/{}", frame.name))?;
 //!     }
 //!     Ok(())
@@ -22,8 +22,8 @@
 //! ```
 //!
 //! Data flows one way: [`dataset`] → [`skeleton`] → [`scene`] → [`raster`] → [`conditions`]. To splat your
-//! own points, see [`raster`] and `examples/splat_cloud.rs`. `docs/ARCHITECTURE.md` has an overview of the
-//! modules, `docs/CONDITIONS.md` the map definitions.
+//! own points, see [`raster`] and `examples/splat_cloud.rs`. `docs/src/internals/architecture.md` has an
+//! overview of the modules, `docs/src/reference/maps.md` the map definitions.
 //!
 //! # Features
 //! All features are on by default.

@@ -1,4 +1,4 @@
-"""Protocol of docs/PLANNER.md for planners written in Python. No dependencies, so that it works in any environment."""
+"""Protocol of docs/src/reference/planner.md for planners written in Python. No dependencies, so that it works in any environment."""
 
 from __future__ import annotations
 

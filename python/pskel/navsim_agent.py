@@ -1,4 +1,4 @@
-"""Agents of NAVSIM for ``pskel simulate``: ``--planner "python -m pskel.navsim_agent MODULE:CLASS"`` (docs/INTEROP.md).
+"""Agents of NAVSIM for ``pskel simulate``: ``--planner "python -m pskel.navsim_agent MODULE:CLASS"`` (docs/src/reference/interop.md).
 
 Runs in the environment of NAVSIM, Python 3.9 or later, or in any with NumPy and Pillow; the compiled part of ``pskel`` is not
 needed. ``MODULE:CLASS`` is an ``AbstractAgent``, or anything with ``compute_trajectory`` and, if it likes, ``initialize`` and

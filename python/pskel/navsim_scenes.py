@@ -1,4 +1,4 @@
-"""Rollouts as synthetic scenes of NAVSIM: ``python -m pskel.navsim_scenes ROLLOUT --out DIR`` (docs/INTEROP.md).
+"""Rollouts as synthetic scenes of NAVSIM: ``python -m pskel.navsim_scenes ROLLOUT --out DIR`` (docs/src/reference/interop.md).
 
 Writes ``DIR/synthetic_scene_pickles/TOKEN.pkl``, as ``navsim.common.dataclasses.Scene.load_from_disk`` reads it, and the images
 ``DIR/sensor_blobs/LOG/CAMERA/TOKEN.png``. Runs where nuplan-devkit is installed, since the future of a scene consists of its
@@ -163,7 +163,7 @@ def _token(rollout: Rollout, state: Message) -> str:
 
 
 def _state(row: Message) -> Message:
-    """Return a line of ``states.jsonl`` as a planner sees the state (docs/PLANNER.md)."""
+    """Return a line of ``states.jsonl`` as a planner sees the state (docs/src/reference/planner.md)."""
     ego = row["ego"]
     (_, _, _, x), (_, _, _, y), (_, _, _, z), _ = ego["global_from_ego"]
     return {

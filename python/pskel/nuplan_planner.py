@@ -1,4 +1,4 @@
-"""Planners of nuPlan for ``pskel simulate``: ``--planner "python -m pskel.nuplan_planner MODULE:CLASS"`` (docs/INTEROP.md).
+"""Planners of nuPlan for ``pskel simulate``: ``--planner "python -m pskel.nuplan_planner MODULE:CLASS"`` (docs/src/reference/interop.md).
 
 Runs in the environment of nuplan-devkit, Python 3.9 or later; the compiled part of ``pskel`` is not needed. ``MODULE:CLASS`` is an
 ``AbstractPlanner``. The log must be one of nuPlan if the planner uses the map; its files are read by the devkit.

@@ -114,7 +114,7 @@ def window(first: int = 0) -> tuple[Array, Array, Array, list[dict[str, Any]]]:
 
 
 def dropped(arrays: dict[str, Any]) -> dict[str, Any]:
-    """Values of docs/DENOISER.md for the unconditional half."""
+    """Values of docs/src/reference/denoiser.md for the unconditional half."""
     layout, action = np.full_like(arrays["layout"], 0.1255), np.full_like(arrays["action"], -1000.0)
     return {**arrays, "layout": layout, "action": action, "prompt": ""}
 

@@ -1,4 +1,4 @@
-"""The examples of docs/PYTHON.md are one program that runs; classes document their parameters."""
+"""The examples of docs/src/guide/python.md are one program that runs; classes document their parameters."""
 
 import importlib.util
 import inspect

@@ -1,4 +1,4 @@
-"""The table of docs/PAS.md is what the command prints."""
+"""The table of docs/src/reference/pas.md is what the command prints."""
 
 import json
 import os

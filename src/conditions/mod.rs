@@ -8,7 +8,7 @@
 //! `f32::INFINITY`; −300 occurs only in files.
 //!
 //! Writers: [`png`], [`exr`], [`npz`], [`safetensors`], the contact [`sheet`], the bird's-eye view
-//! ([`birdseye`]) and the metadata ([`meta`]). See `docs/CONDITIONS.md` for the map definitions.
+//! ([`birdseye`]) and the metadata ([`meta`]). See `docs/src/reference/maps.md` for the map definitions.
 
 pub mod bins;
 pub mod birdseye;

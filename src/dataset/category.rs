@@ -119,7 +119,7 @@ fn of_word(word: &str) -> Option<CategoryKind> {
 }
 
 /// Returns the color of a category's boxes in the layout image; `None` if they are not drawn. Source:
-/// condition contract, `docs/CONDITIONS.md`.
+/// condition contract, `docs/src/reference/maps.md`.
 pub fn layout_rgb(category: &str) -> Option<[u8; 3]> {
     match CategoryKind::of(category)? {
         Pedestrian => Some([255, 0, 0]),

@@ -166,7 +166,7 @@ impl<'a> Simulation<'a> {
     }
 
     /// Returns the observation of the committed state, as an external planner receives it
-    /// (`docs/PLANNER.md`).
+    /// (`docs/src/reference/planner.md`).
     pub fn observation(&self) -> impl Serialize {
         Observation::new(&self.recorded, &self.clock, self.committed.world.get(), &self.files, &self.history)
     }
@@ -176,7 +176,7 @@ impl<'a> Simulation<'a> {
         self.recorded.log.route_at(self.clock.at(self.clock.takeover))
     }
 
-    /// Returns the direction of the recorded path within 20 m ahead of the ego (`docs/PLANNER.md`): `left`,
+    /// Returns the direction of the recorded path within 20 m ahead of the ego (`docs/src/reference/planner.md`): `left`,
     /// `straight`, `right`, or `unknown` past its end.
     pub fn driving_command(&self) -> &'static str {
         self.recorded.route.command(self.committed.world.get().foot)
@@ -189,7 +189,7 @@ impl<'a> Simulation<'a> {
     }
 
     /// Sets the plan for the next step of an ego that follows its caller ([`EgoPolicy::Caller`]): a JSON
-    /// object, the answer of an external planner (`docs/PLANNER.md`).
+    /// object, the answer of an external planner (`docs/src/reference/planner.md`).
     ///
     /// # Errors
     /// Fails if the next step requires no plan, or if the plan is invalid. The simulation remains unchanged.

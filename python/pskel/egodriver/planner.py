@@ -1,4 +1,4 @@
-"""Planner of docs/PLANNER.md whose plans are those of a driver."""
+"""Planner of docs/src/reference/planner.md whose plans are those of a driver."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Features of Inception and I3D, for the FID and FVD of generated rollouts (docs/PYTHON.md)."""
+"""Features of Inception and I3D, for the FID and FVD of generated rollouts (docs/src/guide/evaluation.md)."""
 
 from .frechet import frechet_distance
 from .i3d import I3D, video_features

@@ -1,4 +1,4 @@
-"""FID and FVD: `python -m pskel.metrics ROLLOUT.. --inception W.pth --i3d W.pt --out DIR` (docs/PYTHON.md)."""
+"""FID and FVD: `python -m pskel.metrics ROLLOUT.. --inception W.pth --i3d W.pt --out DIR` (docs/src/guide/evaluation.md)."""
 
 from __future__ import annotations
 

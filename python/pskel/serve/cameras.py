@@ -1,6 +1,6 @@
 """Camera models of requests, rendered as pinholes.
 
-``u`` and ``v`` are positions in the image: pixel (column c, row r) covers c to c+1 and r to r+1, as in docs/CONDITIONS.md.
+``u`` and ``v`` are positions in the image: pixel (column c, row r) covers c to c+1 and r to r+1, as in docs/src/reference/maps.md.
 """
 
 from __future__ import annotations

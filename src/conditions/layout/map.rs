@@ -11,7 +11,7 @@ pub(crate) const MAP_FAR_M: f64 = 65.0;
 /// Allowance for rounding when a view's window is cut out of a map, meters.
 const SLACK_M: f64 = 0.01;
 
-/// Returns the color of a layer. Source: the condition contract, `docs/CONDITIONS.md`.
+/// Returns the color of a layer. Source: the condition contract, `docs/src/reference/maps.md`.
 pub fn map_rgb(layer: MapLayer) -> [u8; 3] {
     match layer {
         MapLayer::Lane | MapLayer::Divider => [0, 255, 0],

@@ -30,7 +30,7 @@ use crate::{WrongUsage, say, tell};
 /// appears whole, together with its record in shards/. Shards that exist are skipped, so the same command
 /// continues an interrupted export, and several processes or machines may run it on one folder. Skeletons
 /// that do not exist are built. Recordings that are damaged are reported at the end, and the others are
-/// exported all the same. See docs/EXPORT.md.
+/// exported all the same. See docs/src/guide/export.md.
 #[derive(Debug, Args)]
 pub(crate) struct ExportArgs {
     /// Recordings: FORMAT:PATH[@VERSION][#SCENE]; "#*" is every scene of a nuScenes version, and a folder of

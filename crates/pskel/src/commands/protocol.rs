@@ -85,7 +85,7 @@ pub(crate) struct ProtocolArgs {
     clips: Option<u16>,
     /// Network: network (shipped with the program), network:FILE with weights of `pskel train`, fill (no
     /// network: holes filled), or process:COMMAND, process:unix:PATH or process:tcp:HOST:PORT
-    /// (docs/DENOISER.md)
+    /// (docs/src/reference/denoiser.md)
     #[arg(long, value_name = "NETWORK", default_value = "network")]
     generator: NetworkName,
     #[command(flatten)]

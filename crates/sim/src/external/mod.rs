@@ -1,4 +1,4 @@
-//! External planner process with a protocol of JSON lines, see `docs/PLANNER.md`.
+//! External planner process with a protocol of JSON lines, see `docs/src/reference/planner.md`.
 
 mod hello;
 mod observation;

@@ -1,4 +1,4 @@
-"""Denoiser process: `python -m pskel.models.pas --weights pas.pth --base SD35_DIR` (docs/PAS.md)."""
+"""Denoiser process: `python -m pskel.models.pas --weights pas.pth --base SD35_DIR` (docs/src/reference/pas.md)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Estimated memory and operations of the network: `python -m pskel.models.pas.cost` (docs/PAS.md)."""
+"""Estimated memory and operations of the network: `python -m pskel.models.pas.cost` (docs/src/reference/pas.md)."""
 
 from __future__ import annotations
 
@@ -90,7 +90,7 @@ def _counted(run: Callable[[], Any]) -> tuple[Any, int]:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Print the table of docs/PAS.md; returns the exit status, after an error in one line on standard error."""
+    """Print the table of docs/src/reference/pas.md; returns the exit status, after an error in one line on standard error."""
     parser = argparse.ArgumentParser(prog="python -m pskel.models.pas.cost", description=__doc__.split(":")[0] + ".")
     parser.add_argument("--config", metavar="F.json", help="sizes of the network (default: the published checkpoints)")
     options = parser.parse_args(arguments)

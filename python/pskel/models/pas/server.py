@@ -1,4 +1,4 @@
-"""Server of the denoiser protocol, version 1 (docs/DENOISER.md)."""
+"""Server of the denoiser protocol, version 1 (docs/src/reference/denoiser.md)."""
 
 from __future__ import annotations
 
