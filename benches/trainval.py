@@ -1,6 +1,7 @@
 #!/usr/bin/env python3
-"""Writes a data set with tables of the size of nuScenes trainval: copies of a scene under other names, whose sweeps and images are
-those of the scene. For measuring what many scenes cost.
+"""Writes a data set with tables as large as nuScenes trainval, to measure the cost of many scenes.
+
+It has copies of one scene under other names, which share the sweeps and images of the scene.
 
     pskel town --seed 7 --frames 40 --size 225x400 --out out/town
     benches/trainval.py out/town out/trainval [SCENES]
@@ -38,7 +39,7 @@ def main() -> None:
         "sample_annotation": ["token", "sample_token", "instance_token", "next", "prev"],
         "instance": ["token", "first_annotation_token", "last_annotation_token"],
     }
-    # Rows of radars and cameras between frames, of which the reader skips most, make up the difference to trainval.
+    # Radar and camera rows between frames make up the difference to trainval; the reader skips most of them.
     more = max(0, SAMPLE_DATA // SCENES - len(tables["sample_data"]))
     radar = {"token": "radar", "channel": "RADAR_FRONT", "modality": "radar"}
     calibrated = {**tables["calibrated_sensor"][0], "token": "radar", "sensor_token": "radar", "camera_intrinsic": []}

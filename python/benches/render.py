@@ -1,4 +1,4 @@
-"""Frame times of `Renderer.render` and `render_all` in Python beside those of `pskel bench`, in turn, and of data loaders.
+"""Frame times of `Renderer.render` and `render_all`, in turn with `pskel bench`, and of data loaders.
 
 python render.py LOG SKELETON [--out-size 256x448] [--maps color,depth,class,instance,boxes,map] [--rounds 5] [--loader]
 python render.py --points points.npy --cameras cameras.json [--maps color,depth,class,instance] ..

@@ -49,7 +49,7 @@ class _Bar:
 
 
 def arguments(options: dict[str, Any]) -> list[str]:
-    """Convert keyword arguments to those of the command.
+    """Convert keyword arguments to command-line arguments.
 
     ``True`` is a flag; ``None`` and ``False`` are left out; a pair of numbers is a size; other sequences are lists.
     """
@@ -77,12 +77,12 @@ def export(
     progress: bool = False,
     **options: Any,
 ) -> ExportReport:
-    """Export the condition maps of logs into a folder; shards that exist are skipped.
+    """Export the condition maps of logs into a folder; existing shards are skipped.
 
-    Options are those of ``pskel export``: ``out_size=(256, 448)``, ``maps=["color", "depth"]``, ``images=True``,
-    ``shard_frames=64``, ``only="0/4"`` and so on. Logs and shards that fail are in the report. ``progress=True`` shows a
-    bar; it needs tqdm. Ctrl-C stops; the same call continues. Raises ``ValueError`` for invalid options, and
-    ``Error`` if the folder cannot be written or holds an export with other options.
+    Options as of ``pskel export``: ``out_size=(256, 448)``, ``maps=["color", "depth"]``, ``images=True``,
+    ``shard_frames=64``, ``only="0/4"`` and so on. The report lists failed logs and shards. ``progress=True``
+    shows a bar; it needs tqdm. Ctrl-C stops; the same call continues. Raises ``ValueError`` for invalid
+    options, and ``Error`` if the folder cannot be written or holds an export with other options.
     """
     logs = [logs] if isinstance(logs, str) else list(logs)
     given = arguments({"out": out, "layout": layout, "skeletons": skeletons, **options})

@@ -1,4 +1,4 @@
-"""What agents and scenes of NAVSIM have in common: frames, cameras, ego states."""
+"""Shared by agents and scenes of NAVSIM: frames, cameras, ego states."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def relative(pose: Any, origin: Message) -> Any:
 def camera(files: list[str], name: str, kind: str) -> dict[str, Any] | None:
     """Return the fields of NAVSIM's ``Camera`` from the files of a step; ``None`` if the step has no such camera.
 
-    The LiDAR frame of NAVSIM is the ego frame: x forward, y left, z up. Intrinsics are those of the image's size.
+    The LiDAR frame of NAVSIM is the ego frame: x forward, y left, z up. Intrinsics refer to the image's size.
     Raises ``PlannerError`` if the image of the camera is missing.
     """
     meta = next((Path(file) for file in files if Path(file).name == "meta.json"), None)

@@ -20,7 +20,7 @@ class Camera:
 
 @dataclass
 class Cameras:
-    """Cameras of a frame; those that were not asked for are empty."""
+    """Cameras of a frame; cameras that were not requested are empty."""
 
     cam_f0: Camera
     cam_l0: Camera
@@ -53,7 +53,7 @@ class EgoStatus:
 
 @dataclass
 class AgentInput:
-    """Four frames, the last of which is now."""
+    """Four frames; the last one is now."""
 
     ego_statuses: list[EgoStatus]
     cameras: list[Cameras]

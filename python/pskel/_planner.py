@@ -20,7 +20,7 @@ PROTOCOL = "pskel-planner"
 
 
 class PlannerError(Exception):
-    """What a planner needs but did not get, or cannot answer; one line."""
+    """Missing or unsupported input of a planner; one line."""
 
 
 def serve(start: Callable[[Message], Plan], lines: Iterable[str], out: TextIO) -> int:
@@ -72,8 +72,9 @@ def messages() -> tuple[Iterable[str], TextIO]:
 def waypoints(start: tuple[float, float], points: Sequence[tuple[float, float, float, float]]) -> list[Message]:
     """Return the waypoints of a plan without speeds.
 
-    ``points`` have seconds after the observation (rising from over 0), x, y (meters) and heading (radians); ``start`` is the ego at
-    the observation. Speeds are central differences of positions along the heading; that of the last point is since the one before.
+    ``points`` have seconds after the observation (rising from over 0), x, y (meters) and heading (radians);
+    ``start`` is the ego at the observation. Speeds are central differences of positions along the heading.
+    The last point uses a backward difference.
     """
     known = [(0.0, *start), *((t, x, y) for t, x, y, _ in points)]
     plan = []

@@ -35,9 +35,10 @@ def split(log: str) -> tuple[str, str, str]:
 
 
 def fetch(log: str, folder: Path, *, sensors: bool) -> str:
-    """Copy what a remote log needs below a folder, and return the name of the copy.
+    """Copy the files of a remote log below a folder, and return the name of the copy.
 
-    Without ``sensors`` only tables, which is enough to list its frames. Files that are there are not copied again.
+    Without ``sensors``, copies only tables, which suffice to list its frames. Existing files are not copied
+    again.
     """
     kind, url, rest = split(log)
     system, root = store(url)

@@ -53,7 +53,7 @@ class Rollout:
         return round(steps)
 
     def files(self, step: int) -> list[str]:
-        """Return what a planner would see of a step: here only its metadata, from which images are found."""
+        """Return a planner's files for a step: here only its metadata, which locates the images."""
         return [str(self.folder / "steps" / f"{step:06}" / "meta.json")]
 
 

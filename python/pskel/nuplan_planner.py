@@ -112,7 +112,7 @@ def tracks(state: Message, track_ids: dict[str, int]) -> Any:
 
 
 def kind_of(actor: Message) -> str:
-    """Return the name of an actor's type in nuPlan; categories of other data sets get that of their class."""
+    """Return an actor's nuPlan type name; categories of other data sets map by their class."""
     category: str = actor["category"]
     names = {"trafficcone": "traffic_cone", "barrier": "barrier"}
     if category in ("traffic_cone", "barrier", "czone_sign", "generic_object"):
@@ -176,7 +176,7 @@ def _map(files: Message | None, version: str) -> Any:
         raise PlannerError(f"expected an index of maps in {index}, found {error}") from None
     if files["name"] not in names:
         raise PlannerError(f"expected the map {files['name']} in {index}, found {', '.join(names)}")
-    # The devkit opens all maps that it knows, and downloads those that are missing.
+    # The devkit opens all maps that it knows, and downloads missing ones.
     gpkg_mapsdb.MAP_LOCATIONS.clear()
     gpkg_mapsdb.MAP_LOCATIONS.add(files["name"])
     return get_maps_api(files["root"], version, files["name"])

@@ -82,10 +82,11 @@ def export(
 ) -> ExportReport:
     """Export the condition maps of logs with the workers of a Ray cluster.
 
-    ``logs``, ``layout`` and ``options`` are those of ``pskel.export``. ``out`` is a folder that all workers share, or a URL.
-    ``skeletons`` is a shared folder; without it, each task builds its skeleton in a temporary folder. At most ``workers`` logs
-    (default: as many as the cluster has room for) are exported at a time, each with ``num_cpus`` and ``num_gpus``. A task is
-    started again up to ``retries`` times when its worker dies. Logs and shards that fail are in the report.
+    ``logs``, ``layout`` and ``options``: see ``pskel.export``. ``out`` is a folder that all workers share, or
+    a URL. ``skeletons`` is a shared folder; without it, each task builds its skeleton in a temporary folder.
+    At most ``workers`` logs (default: as many as the cluster has room for) are exported at a time, each with
+    ``num_cpus`` and ``num_gpus``. A task is started again up to ``retries`` times when its worker dies. The
+    report lists failed logs and shards.
     """
     logs = [logs] if isinstance(logs, str) else list(logs)
     given = arguments({"layout": layout, **options})

@@ -159,7 +159,7 @@ class _Clips:
 
 
 def _times(source: ClipSource) -> list[int]:
-    """Times of the key frames of a log, microseconds. The log must be one of those of its skeleton."""
+    """Times of a log's key frames, microseconds. The skeleton must contain the log."""
     log, skeleton = Log(source.log), Skeleton(source.skeleton)
     if log.name not in skeleton.logs:
         found = ", ".join(skeleton.logs)
@@ -196,20 +196,21 @@ def _scaled(scene: Scene, size: Sequence[int]) -> np.ndarray[Any, np.dtype[np.fl
 class ConditionDataset(_Clips, Dataset[dict[str, torch.Tensor]]):
     """Clips of logs as a map-style dataset.
 
-    ``sources`` are pairs of a log, as the text that ``Log`` opens, and the folder of a skeleton of this log, and of others
-    too. An item has T = ``frames`` key frames, V cameras and maps of ``out_size`` (height, width):
+    ``sources`` are pairs of a log, as the text that ``Log`` opens, and a skeleton folder that contains this
+    log, possibly among others. An item has T = ``frames`` key frames, V cameras and maps of ``out_size``
+    (height, width):
 
     - ``points`` ``float32 [T, V, 20, H, W]`` and ``layout`` ``float32 [T, V, 6, H, W]``: the network input,
     - ``images`` ``uint8 [T, V, 3, H, W]`` (unless ``images=False``): recorded images, or rendered ones of a town,
     - ``intrinsics`` ``float64 [T, V, 3, 3]`` at ``out_size``, ``camera_from_global`` ``float64 [T, V, 4, 4]``,
       ``global_from_ego`` ``float64 [T, 4, 4]``, ``t_us`` ``int64 [T]``.
 
-    Clips begin every ``stride`` key frames. Their frames are consecutive key frames, every ``every``-th one, or those at the rate
-    ``hz``, which must divide the rate of the key frames; at a rate, clips across gaps of the log are left out.
-    ``augment(scene, generator)`` changes a scene with random numbers that depend on ``seed``, epoch (``set_epoch``) and index
-    only; recorded images do not follow a moved ego. Other keyword arguments are those of ``pskel.Renderer``, except ``maps``
-    and ``log``. Raises ``ValueError`` for a skeleton of other logs, for a rate that does not divide that of a log, and if no
-    log is as long as a clip.
+    Clips begin every ``stride`` key frames. Their frames are consecutive key frames, every ``every``-th one,
+    or key frames at the rate ``hz``, which must divide the key frame rate. With ``hz``, clips across gaps of
+    the log are skipped. ``augment(scene, generator)`` changes a scene with random numbers that depend on
+    ``seed``, epoch (``set_epoch``) and index only; recorded images do not follow a moved ego. Other keyword
+    arguments are passed to ``pskel.Renderer``, except ``maps`` and ``log``. Raises ``ValueError`` for a
+    skeleton of other logs, for a rate that does not divide a log's rate, and if no log is as long as a clip.
     """
 
     def __len__(self) -> int:

@@ -1,4 +1,4 @@
-"""A planner of nuPlan that records what it sees; runs in the environment of nuplan-devkit."""
+"""A planner of nuPlan that records its inputs; runs in the environment of nuplan-devkit."""
 
 import json
 import math
@@ -22,8 +22,8 @@ KINDS = {
 
 
 class Recorder(AbstractPlanner):
-    """Plans with the planner of the devkit named by ``kind``, writes what it sees to the file ``seen``, and fails as the
-    environment variable FAILS says."""
+    """Plans with the devkit's planner ``kind``, writes its inputs to ``seen``, and fails as FAILS
+    (environment) requests."""
 
     def __init__(self, kind: str, seen: str) -> None:
         self._planner = KINDS[kind]()

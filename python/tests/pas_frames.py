@@ -79,7 +79,7 @@ def peer(base: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Peer]
     assert not tensors
     yield peer
     assert peer.close() == 0
-    # Nothing but the notice about inputs that differ from those of the training.
+    # Nothing but the notice about inputs that differ from the training.
     assert peer.errors.read_text() == (
         "pskel.models.pas: the published nuScenes checkpoint was trained with 12 frames of 256x448 at 6 per second, "
         "found 3 frames of 32x64 at 6 per second\n"

@@ -23,8 +23,9 @@ Request = sensorsim_pb2.RGBRenderRequest
 def exact_town(folder: Path, seed: int, frames: int = 6, size: str = "113x200") -> tuple[str, Path]:
     """Write a town in the format of nuScenes and its skeleton; returns its name and the skeleton.
 
-    Then round all poses so that messages hold them exactly: the ego's have no rotation, positions are multiples of 1/1024 m, and
-    quaternions are 32-bit numbers of unit length. The pictures are those of other places then, but the same for every program.
+    Then round all poses so that messages hold them exactly: the ego's have no rotation, positions are
+    multiples of 1/1024 m, and quaternions are 32-bit numbers of unit length. The pictures then show other
+    places, but the same for every program.
     """
     data = folder / f"town{seed}"
     run("town", f"--seed={seed}", f"--frames={frames}", f"--size={size}", f"--out={data}")

@@ -68,7 +68,7 @@ def states(out: Path) -> list[Any]:
 
 @pytest.fixture(scope="module")
 def seen(drive: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[FakeDriver, Path]:
-    """A driver after a rollout of 8 steps, of which the first 4 follow the log, and the rollout."""
+    """A driver after a rollout of 8 steps (the first 4 follow the log), and the rollout folder."""
     out = tmp_path_factory.mktemp("seen") / "out"
     driver = FakeDriver()
     with served(driver) as address:

@@ -57,7 +57,7 @@ def test_shards_are_what_webdataset_reads(tmp_path: Path, skeletons: Path, rende
 
 
 def test_given_shards_have_no_index_of_their_own(tmp_path: Path, skeletons: Path) -> None:
-    """A task that writes the shards of one log does not know those of the others."""
+    """A task that writes the shards of one log does not know the shards of other logs."""
     from pskel._pskel import Export
 
     options = ["--layout=webdataset", "--shard-frames=2", "--out-size=56x100", f"--skeletons={skeletons}"]

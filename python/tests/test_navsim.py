@@ -1,7 +1,7 @@
 """Agents of NAVSIM in rollouts, and rollouts as scenes of NAVSIM.
 
-Scenes need nuplan-devkit, whose Python is named by PSKEL_DEVKIT_PYTHON. If PSKEL_NAVSIM is the folder of a checkout of NAVSIM, they
-are read by its own classes too.
+Scenes need nuplan-devkit, whose Python is named by PSKEL_DEVKIT_PYTHON. If PSKEL_NAVSIM names a NAVSIM
+checkout, NAVSIM's own classes also read them.
 """
 
 import json
@@ -165,7 +165,7 @@ def test_a_rollout_becomes_scenes(driven: tuple[Path, Path], tmp_path: Path) -> 
 
 
 def tracks_equal(tracks: Any, row: Any, atol: float = 1e-6) -> None:
-    """Tracks of a scene equal the actors of a step; those of frames have 32 bits, relative to the ego."""
+    """Tracks of a scene equal the actors of a step; tracks of frames have 32 bits, relative to the ego."""
     assert [track[0] for track in tracks] == [actor["track"] for actor in row["actors"]]
     for (_, kind, x, y, heading, vx, vy), actor in zip(tracks, row["actors"], strict=True):
         np.testing.assert_allclose([x, y], actor["center_m"][:2], atol=atol)

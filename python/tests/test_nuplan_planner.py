@@ -1,6 +1,7 @@
 """Planners of nuplan-devkit in rollouts: what they see, how they drive, and how they fail.
 
-The devkit needs an environment of its own: its Python is named by PSKEL_DEVKIT_PYTHON, its folder is that of the shared data.
+The devkit needs an environment of its own: its Python is named by PSKEL_DEVKIT_PYTHON. Its folder lies in the
+shared data.
 """
 
 import json

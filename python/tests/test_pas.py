@@ -1,4 +1,4 @@
-"""The video network of *Point as Skeleton* equals the authors' on their inputs, and loads their checkpoints alone."""
+"""The *Point as Skeleton* video network equals the authors' on their inputs; only their checkpoints load."""
 
 import json
 import os
@@ -60,7 +60,7 @@ def inputs(io: Any, layout: Any = None) -> list[Any]:
 
 
 def predict(network: Network, io: Any, conditions: Conditions, **options: Any) -> Any:
-    """The velocity of the latents of the fixture."""
+    """Predict the velocity of the fixture's latents."""
     with torch.inference_mode():
         return network(io["sample"], io["timestep"], conditions, io["crossview_attention_mask"], **options)
 

@@ -58,7 +58,7 @@ def hand_built_ids(frames: list[dict[str, Any]]) -> Any:
 
 
 def encode_prompts(base: Path, prompts: list[str]) -> tuple[Any, Any]:
-    """Tokens and pooled tokens of the pipeline of diffusers."""
+    """Encode prompts with the diffusers pipeline: tokens and pooled tokens."""
     kinds = transformers.CLIPTextModelWithProjection, transformers.CLIPTokenizer
     parts: dict[str, Any] = {"transformer": None, "scheduler": None, "vae": None}
     for suffix, (encoder, tokenizer) in {
@@ -187,7 +187,7 @@ def test_orders_and_masks_of_rigs(rig: Rig) -> None:
 
 
 def test_numbers_equal_those_of_poses() -> None:
-    """The numbers of fractions and motions are those of pixels and poses."""
+    """Numbers computed from fractions and motions equal numbers computed from pixels and poses."""
     frames = [condition_arrays(i) for i in range(L)]
     cameras = torch.tensor(np.stack([frame["cameras"] for frame in frames]))
     action = torch.tensor(np.stack([frame["action"] for frame in frames]))

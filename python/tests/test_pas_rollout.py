@@ -22,7 +22,7 @@ Network = Callable[[Array, Array, Array, list[FrameCondition]], Array]
 
 
 def table() -> tuple[Array, Array]:
-    """Sigmas and timesteps of the scheduler of Stable Diffusion 3.5."""
+    """Sigmas and timesteps of the Stable Diffusion 3.5 scheduler."""
     scheduler = diffusers.FlowMatchEulerDiscreteScheduler(shift=3.0)
     scheduler.set_timesteps(STEPS)
     return scheduler.sigmas.numpy(), scheduler.timesteps.numpy()

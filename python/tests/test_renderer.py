@@ -1,4 +1,4 @@
-"""Maps in Python are those of the command."""
+"""Maps in Python equal the maps of the command."""
 
 import os
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""The renderer service of AlpaSim: images equal those of the command, moved tracks move, and every failure has its status."""
+"""AlpaSim's renderer service: images equal the command's, moved tracks move, each failure has its status."""
 
 import signal
 import time
@@ -143,7 +143,7 @@ def test_one_camera_several_at_once_and_its_own_parameters(towns: Towns, client:
     short.ClearField("resolution_w")
     short.ClearField("ego_pose")
     assert client.render_rgb(short).image_bytes == whole[name]
-    # Half the size has half the intrinsics, whatever the specification says.
+    # Half the size has half the intrinsics, regardless of the specification.
     half = Request.FromString(request.SerializeToString())
     half.resolution_h, half.resolution_w = 56, 100
     assert decoded(client.render_rgb(half).image_bytes).shape == (56, 100, 3)
@@ -222,7 +222,7 @@ def test_wrong_messages_have_their_status(towns: Towns, client: Any) -> None:
         with pytest.raises(grpc.RpcError) as error:
             call(message)
         assert error.value.code().name == code, error.value.details()
-    # The server goes on.
+    # The server continues.
     assert client.render_rgb(request).image_bytes
 
 

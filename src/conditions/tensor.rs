@@ -2,8 +2,8 @@
 //!
 //! # How it works
 //! The depth channels depend only on the depth bin, so every possible value is computed once and looked up
-//! per pixel. The arithmetic is `f32` in the order of the condition contract (`docs/src/reference/maps.md`): near the
-//! highest frequency, another order differs by more than 10⁻⁵.
+//! per pixel. The arithmetic is `f32` in the order of the condition contract (`docs/src/reference/maps.md`):
+//! near the highest frequency, another order differs by more than 10⁻⁵.
 
 use rayon::prelude::*;
 use serde::Serialize;

@@ -73,9 +73,9 @@ impl<'a> Levels<'a> {
         (guess + known)? + missing
     }
 
-    /// Returns the target `F`, for which [`Levels::clean`] is `x0` if `x = (1-s) x0 + s e`:
-    /// `(s (x0 - mu) / p - (1-s) p e) / sqrt D`. This equals `(x0 - mu - a y) / c` without the cancellation of nearly equal
-    /// terms.
+    /// Returns the target `F`, for which [`Levels::clean`] is `x0` if `x = (1-s) x0 + s e`. `F` is
+    /// `(s (x0 - mu) / p - (1-s) p e) / sqrt D`, which equals `(x0 - mu - a y) / c` without the cancellation
+    /// of nearly equal terms.
     pub(crate) fn answer(&self, clean: &Tensor, guess: &Tensor, noise: &Tensor) -> Result<Tensor> {
         let off = self.times(&(clean - guess)?, |s, p| s / (p * variance(s, p).sqrt()))?;
         let noise = self.times(noise, |s, p| (1.0 - s) * p / variance(s, p).sqrt())?;

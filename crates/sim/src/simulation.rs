@@ -176,8 +176,8 @@ impl<'a> Simulation<'a> {
         self.recorded.log.route_at(self.clock.at(self.clock.takeover))
     }
 
-    /// Returns the direction of the recorded path within 20 m ahead of the ego (`docs/src/reference/planner.md`): `left`,
-    /// `straight`, `right`, or `unknown` past its end.
+    /// Returns the direction of the recorded path within 20 m ahead of the ego
+    /// (`docs/src/reference/planner.md`): `left`, `straight`, `right`, or `unknown` past its end.
     pub fn driving_command(&self) -> &'static str {
         self.recorded.route.command(self.committed.world.get().foot)
     }

@@ -3,11 +3,11 @@
 //! # Rules for mesh authors
 //! - All corners of a triangle have the same color, surface and seed, since the device takes them from an
 //!   unspecified corner. Both sides of triangles are rendered.
-//! - uv wraps at ±64 m with a resolution of 2 mm. Brick, plaster, concrete, wood, roof tiles, sidewalk, window
-//!   and sign use uv with u horizontal and v up (roof tiles: v up the slope; wood: planks along v). Asphalt,
-//!   paint and grass use the position in the town.
-//! - The uv of a window starts at the lower left corner of the pane. A pane whose lower edge is below 0.75 m is
-//!   a shop window or a door. The seed selects room, curtains, and whether it is lit at dusk.
+//! - uv wraps at ±64 m with a resolution of 2 mm. Brick, plaster, concrete, wood, roof tiles, sidewalk,
+//!   window and sign use uv with u horizontal and v up (roof tiles: v up the slope; wood: planks along v).
+//!   Asphalt, paint and grass use the position in the town.
+//! - The uv of a window starts at the lower left corner of the pane. A pane whose lower edge is below 0.75 m
+//!   is a shop window or a door. The seed selects room, curtains, and whether it is lit at dusk.
 //! - A sign with seed 0 has no letters.
 
 mod smooth;

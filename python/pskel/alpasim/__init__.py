@@ -1,7 +1,8 @@
 """Messages and services of AlpaSim (alpasim_grpc 0.54.0): ``common_pb2``, ``sensorsim_pb2``, ``egodriver_pb2`` and their ``_grpc``.
 
-The modules are generated from the ``.proto`` files of this folder by ``ci/protos.py``. Their wire format and service names are those
-of AlpaSim (https://github.com/NVlabs/alpasim, Apache-2.0). They need the extra ``alpasim`` (grpcio and protobuf).
+The modules are generated from the ``.proto`` files of this folder by ``ci/protos.py``. Wire format and
+service names are taken from AlpaSim (https://github.com/NVlabs/alpasim, Apache-2.0). They need the extra
+``alpasim`` (grpcio and protobuf).
 """
 
 from __future__ import annotations

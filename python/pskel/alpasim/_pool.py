@@ -1,4 +1,4 @@
-"""Registry of the messages of this package, apart from the default one of protobuf."""
+"""Registry for this package's messages, separate from protobuf's default registry."""
 
 from google.protobuf.descriptor_pool import DescriptorPool
 

@@ -22,7 +22,7 @@ def _timeout(text: str) -> float:
 
 
 def parser() -> argparse.ArgumentParser:
-    """Return the parser of the options that are not those of ``pskel simulate``."""
+    """Return the parser for options that ``pskel simulate`` does not have."""
     parser = argparse.ArgumentParser(
         prog="python -m pskel.egodriver",
         usage="%(prog)s LOG --skeleton SK --driver HOST:PORT --out DIR --steps N [OPTIONS] [OPTIONS OF pskel simulate]",

@@ -30,8 +30,9 @@ _PNG = b"\x89PNG\r\n\x1a\n"
 def logical_ids(choice: str, names: list[str]) -> dict[str, str]:
     """Return the driver's name of each camera that it receives, by the name in the rollout.
 
-    ``choice`` is ``all`` (own names), ``alpasim`` (the nearest cameras of AlpaSim's vehicles), or a list ``CAM=ID,..`` or ``CAM,..``.
-    Raises ``DriverError`` for cameras that ``names``, those of the rollout, lacks, and for an ID of two cameras.
+    ``choice`` is ``all`` (own names), ``alpasim`` (the nearest cameras of AlpaSim's vehicles), or a list
+    ``CAM=ID,..`` or ``CAM,..``. ``names`` are the rollout's cameras. Raises ``DriverError`` for cameras that
+    the rollout lacks, and for an ID of two cameras.
     """
     if choice == "all":
         return {name: name for name in names}

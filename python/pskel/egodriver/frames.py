@@ -32,7 +32,7 @@ def route(path: list[list[float]], global_from_rig: Matrix) -> list[common_pb2.V
 def plan(
     trajectory: common_pb2.Trajectory, start: tuple[float, float], origin: Matrix, now_us: int, query_us: int
 ) -> list[dict[str, Any]]:
-    """Return the waypoints after ``now_us`` of a trajectory of poses local->rig.
+    """Convert a trajectory of poses local->rig to the waypoints after ``now_us``.
 
     ``start`` is the ego at ``now_us`` (global meters), ``origin`` the origin of the local frame (``[3]``, global meters). Raises
     ``DriverError`` for a trajectory that is empty, too short, too long, not finite or out of order.
@@ -57,7 +57,7 @@ def plan(
 
 
 def _placed(pose: common_pb2.Pose, origin: Matrix, index: int) -> tuple[float, float, float]:
-    """Global position and heading of a pose of a plan."""
+    """Global position and heading of pose ``index`` in a plan."""
     x, y, z, q = pose.vec.x, pose.vec.y, pose.vec.z, pose.quat
     norm = math.sqrt(q.w * q.w + q.x * q.x + q.y * q.y + q.z * q.z)
     if not all(map(math.isfinite, (x, y, z, norm))) or not 0.9 < norm < 1.1:

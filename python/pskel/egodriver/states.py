@@ -54,7 +54,7 @@ class States:
         return self._origin
 
     def until(self, step: int) -> list[State]:
-        """Return the states that the previous call did not return, up to and with that of ``step``."""
+        """Return the states since the previous call, up to and including ``step``."""
         states: list[State] = []
         try:
             with self._file.open("rb") as file:

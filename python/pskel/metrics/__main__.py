@@ -90,7 +90,7 @@ def _run(options: argparse.Namespace) -> None:
 
 
 def _starts(images: np.ndarray, options: argparse.Namespace) -> range:
-    """First frames of the clips of a video."""
+    """First frame of each clip in a video."""
     return range(0, len(images) - options.frames + 1, options.stride)
 
 
@@ -104,9 +104,10 @@ def _write(out: Path, network: str, name: str, sets: dict[str, list[np.ndarray]]
 
 
 def _image_curve(sets: dict[str, list[np.ndarray]], frames: int) -> dict[int, float]:
-    """Return the distance over the images of each window of frames, by its first frame.
+    """Return the distance over the images of each frame window, by its first frame.
 
-    A window of generated images is compared with the ground truth of the same frames, or with all reference images.
+    A window of generated images is compared with the ground truth at the same frames, or with all reference
+    images.
     """
     generated, truth = sets["generated"], sets.get("truth")
     last = max(len(features) for features in generated) - frames

@@ -31,7 +31,7 @@ _MIXED = {
 class I3D(nn.Module):
     """Logits of Kinetics-400 for clips [N, 3, T, 224, 224] from -1 to 1, at least 10 frames: [N, 400], means over time.
 
-    The names of its parameters are those of the published `i3d_pretrained_400.pt`, in which padding is as in TensorFlow.
+    Parameter names follow the published `i3d_pretrained_400.pt`, whose padding is as in TensorFlow.
     """
 
     def __init__(self) -> None:

@@ -24,7 +24,7 @@ class GeneratedVideo:
 
 
 def read_rollout(folder: str | os.PathLike[str], *, truth: bool = True) -> list[GeneratedVideo]:
-    """Read all cameras of a rollout of `pskel generate` or `pskel simulate --generator`, sorted by name.
+    """Read all cameras of a rollout by `pskel generate` or `pskel simulate --generator`, sorted by name.
 
     `truth=False` reads no ground truth, which rollouts off the log do not have. Raises ValueError if there are no generated
     images, or if the ground truth is to be read and missing.
@@ -46,8 +46,8 @@ def read_rollout(folder: str | os.PathLike[str], *, truth: bool = True) -> list[
 def read_reference(folder: str | os.PathLike[str], size: tuple[int, int]) -> list[np.ndarray]:
     """Read recorded images as videos [T, H, W, 3], uint8, resized to `size` (height, width), bilinear with antialiasing.
 
-    `folder` is a rollout with ground truth, a folder with a folder of images per camera, or a folder of images of one camera.
-    Images are in the order of their names. Raises ValueError if there are none.
+    `folder` is a rollout with ground truth, a folder with one image folder per camera, or an image folder of
+    one camera. Images are in the order of their names. Raises ValueError if there are none.
     """
     steps = [step / "truth" for step in _steps(folder) if (step / "truth").is_dir()]
     if steps:

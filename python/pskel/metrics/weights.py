@@ -11,7 +11,7 @@ from torch import Tensor
 
 
 def read_weights(path: str | os.PathLike[str], expected: Mapping[str, Tensor]) -> dict[str, Tensor]:
-    """Read `torch.save(state_dict)` of tensors alone; raises ValueError if names or shapes are not the expected ones."""
+    """Read `torch.save(state_dict)` with only tensors; raises ValueError for unexpected names or shapes."""
     try:
         found = torch.load(path, map_location="cpu", weights_only=True)
     except (RuntimeError, pickle.UnpicklingError, EOFError) as error:

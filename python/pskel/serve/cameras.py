@@ -49,7 +49,7 @@ class Projection:
 
 
 def projection(spec: CameraSpec, size: tuple[int, int]) -> Projection:
-    """Return the projection of a camera at a size (height, width), to which its intrinsics are scaled.
+    """Return the projection of a camera at a size (height, width), with scaled intrinsics.
 
     Raises ``RequestError`` for models that are unknown, not finite, not invertible, or wider than 160 degrees.
     """
@@ -132,7 +132,7 @@ def _ftheta(param: sensorsim_pb2.FthetaCameraParam, size: tuple[int, int], scale
         raise invalid("finite f-theta polynomials that rise from 0", used.tolist())
     focal = (1.0 / used[1] if by_pixels else used[1]) * scale[0]
     angles = _polynomial(used, param.max_angle) if by_pixels else _inverse(used, param.max_angle)
-    # Positions are [[c, d], [e, 1]] times those of the polynomial.
+    # Positions are [[c, d], [e, 1]] times the polynomial's positions.
     cde = param.linear_cde
     stretch = np.array([[cde.linear_c or 1.0, cde.linear_d], [cde.linear_e, 1.0]])
     if not np.isfinite(stretch).all() or abs(np.linalg.det(stretch)) < 1e-6:
@@ -200,7 +200,7 @@ def _valued(positions: Array, powers: Array) -> Array:
 
 
 def _rising(values: Array, positions: Array) -> tuple[Array, Array]:
-    """Return the first part of both in which the values rise."""
+    """Return the leading part of both arrays, as long as the values rise."""
     falls = np.flatnonzero(~(np.diff(values) > 0.0))
     count = int(falls[0]) + 1 if len(falls) else len(values)
     return values[:count], positions[:count]

@@ -57,7 +57,7 @@ class Scene:
     def render(
         self, ego: Matrix, views: Sequence[tuple[Projection, Matrix]], actors: Sequence[pskel.Actor]
     ) -> pskel.Maps:
-        """Return the maps color and depth ``[V, H, W, ..]`` of projections of one size with their poses ``global_from_camera``."""
+        """Render color and depth ``[V, H, W, ..]`` for projections of one size and ``global_from_camera``."""
         cameras = [
             pskel.Camera(f"camera{number}", projection.intrinsics, projection.size, np.linalg.inv(ego) @ pose)
             for number, (projection, pose) in enumerate(views)
@@ -66,7 +66,7 @@ class Scene:
 
 
 class Scenes:
-    """All scenes of a server by name; at most ``capacity`` of them are open, those used last."""
+    """All scenes of a server by name; at most ``capacity`` of them, the last used, are open."""
 
     def __init__(self, sources: Mapping[str, tuple[str, Path]], capacity: int, splat: str | None) -> None:
         self._sources = dict(sources)

@@ -177,7 +177,7 @@ class Service(sensorsim_pb2_grpc.SensorsimServiceServicer):
         return Shot(scene, ego, known[instant], key, projection, pose, request.image_format, request.image_quality)
 
     def _rendered(self, shots: Sequence[Shot], context: Any) -> list[sensorsim_pb2.RGBRenderReturn]:
-        """Render in the order of the shots, those of one instant together."""
+        """Render in the order of the shots; shots of one instant are rendered together."""
         pixels = sum(shot.projection.size[0] * shot.projection.size[1] for shot in shots)
         if len(shots) > MAX_IMAGES or pixels > MAX_PIXELS:
             text = f"expected at most {MAX_IMAGES} images and {MAX_PIXELS} pixels in a request, found {len(shots)} and {pixels}"
@@ -214,7 +214,7 @@ def _actors(scene: Scene, request: Request, t_us: int) -> tuple[pskel.Actor, ...
 
 
 def _spec(scene: Scene, request: Request) -> tuple[sensorsim_pb2.CameraSpec, RigCamera | None]:
-    """Return the camera of a request, and that of the log with its ID. One without parameters is that of the log."""
+    """Return a request's camera (the log's own if it has no parameters) and the log's camera with its ID."""
     given = request.camera_intrinsics
     rig = scene.cameras.get(given.logical_id)
     if given.WhichOneof("camera_param"):

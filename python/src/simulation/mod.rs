@@ -146,8 +146,9 @@ impl Simulation {
         scenes.into_iter().map(predicted).collect()
     }
 
-    /// The observation of the committed step, as planners in other processes receive it (docs/src/reference/planner.md).
-    /// After resuming from `saved`, its `history` begins with the saved step.
+    /// The observation of the committed step, as planners in other processes receive it
+    /// (docs/src/reference/planner.md). After resuming from `saved`, its `history` begins with the saved
+    /// step.
     #[getter]
     fn observation<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         let text = self.read(py, |simulation, _| json(&simulation.observation()))?;

@@ -1,4 +1,5 @@
-//! A network in another process, which exchanges safetensors with this one: see `docs/src/reference/denoiser.md`.
+//! A network in another process, which exchanges safetensors with this one: see
+//! `docs/src/reference/denoiser.md`.
 
 mod call;
 mod codec;

@@ -14,9 +14,9 @@ fn moments(x: &[f32]) -> (f32, f32) {
     (mean, 1.0 / (variance + EPSILON).sqrt())
 }
 
-/// Returns `norm(x) (1 + scale) + shift`, where `norm` scales each row of `x [R, d]` to mean 0 and
-/// variance 1. `modulation [G, 2d]` is `(shift, scale)`; each row applies to `R / G` consecutive rows. Source: Peebles
-/// and Xie, "Scalable Diffusion Models with Transformers", 2023 (adaLN).
+/// Returns `norm(x) (1 + scale) + shift`, where `norm` scales each row of `x [R, d]` to zero mean and unit
+/// variance. `modulation [G, 2d]` is `(shift, scale)`; each row applies to `R / G` consecutive rows. Source:
+/// Peebles and Xie, "Scalable Diffusion Models with Transformers", 2023 (adaLN).
 pub(in super::super) fn norm_forward(x: &[f32], modulation: &[f32], d: usize) -> Vec<f32> {
     let per_group = x.len() / d / (modulation.len() / (2 * d));
     let mut out = vec![0.0_f32; x.len()];

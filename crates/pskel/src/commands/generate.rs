@@ -39,8 +39,8 @@ pub(crate) struct GenerateArgs {
     out: PathBuf,
     /// Network: network (shipped with the program), network:FILE with weights of `pskel train`, fill (no
     /// network: holes filled), or process:COMMAND, process:unix:PATH or process:tcp:HOST:PORT
-    /// (docs/src/reference/denoiser.md). Map options apply to the written maps; the network's conditions are rendered as in
-    /// its training
+    /// (docs/src/reference/denoiser.md). Map options apply to the written maps; the network's conditions are
+    /// rendered as in its training
     #[arg(long, value_name = "NETWORK", default_value = "network")]
     generator: NetworkName,
     /// Number of steps [default: to the end of the log]

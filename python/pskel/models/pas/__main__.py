@@ -20,7 +20,7 @@ _PROGRAM = "pskel.models.pas"
 def main(arguments: Sequence[str] | None = None) -> int:
     """Serve the denoiser protocol on standard input and output; returns the exit status."""
     options = parser().parse_args(arguments)
-    # From here on, whatever else prints, in Python or not, prints to standard error.
+    # From here on, all other output, from Python or not, goes to standard error.
     with open(0, "rb", closefd=False) as source, open(os.dup(1), "wb") as out:
         os.dup2(2, 1)
         return run(options, source, out)

@@ -85,7 +85,7 @@ class SelfAttentionBlock(nn.Module):
 
 
 class AlphaBlender(nn.Module):
-    """Blends tokens with those of a block by a learned weight."""
+    """Blends tokens with a block's output tokens by a learned weight."""
 
     def __init__(self, merge_factor: float) -> None:
         super().__init__()

@@ -31,9 +31,9 @@ def load(
 ) -> Network:
     """Read the weights of a network from a file; returns it in evaluation mode.
 
-    The file is in the format of safetensors if its name ends so, else of ``torch.save(state_dict)``; no code in it is run.
-    Weights are converted to ``dtype`` one by one. ``config`` is that of the training; the default is that of the published
-    checkpoints.
+    The file is in the format of safetensors if its name ends so, else of ``torch.save(state_dict)``; no code
+    in it is run. Weights are converted to ``dtype`` one by one. ``config`` must match the training; the
+    default matches the published checkpoints.
 
     Raises ``ValueError``, which names the file, if it is no checkpoint, or if tensors are missing, additional or of another
     shape; ``OSError`` if it cannot be read.

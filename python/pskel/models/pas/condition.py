@@ -29,7 +29,7 @@ _PARTS = ("layout", "action", "color", "depth")
 
 
 class ConditionMaps:
-    """Maps of all cameras of a frame, ``float32 [V, C, H, W]``: a copy that cannot be changed."""
+    """Maps of a frame over all cameras, ``float32 [V, C, H, W]``: a read-only copy."""
 
     def __init__(self, array: npt.ArrayLike) -> None:
         self.array: _Array = np.array(array, np.float32, order="C")
@@ -37,7 +37,7 @@ class ConditionMaps:
 
     @cached_property
     def key(self) -> tuple[tuple[int, ...], bytes]:
-        """Shape and digest: equal for equal maps alone."""
+        """Shape and digest: equal only for equal maps."""
         return self.array.shape, hashlib.blake2b(self.array.data, digest_size=32).digest()
 
 
@@ -73,8 +73,8 @@ class FrameCondition:
     ) -> FrameCondition:
         """Copy arrays of the denoiser protocol, of one frame.
 
-        ``points`` may have more than 4 channels, of which the network does not use the rest. Raises ``ValueError`` for arrays
-        of other shapes.
+        ``points`` may have more than 4 channels; the network ignores the others. Raises ``ValueError`` for
+        arrays of other shapes.
         """
         point_maps, layout_maps = numbers(points), numbers(layout)
         motion, numbers = numbers(action).astype(np.float32), numbers(cameras).astype(np.float32)
@@ -94,11 +94,11 @@ class FrameCondition:
     def from_scene(
         cls, scene: Scene, maps: Mapping[str, Any], previous: npt.ArrayLike | None = None, prompt: str = ""
     ) -> FrameCondition:
-        """Describe a scene by its maps, those of ``Renderer(.., maps=["tensor"])``.
+        """Describe a scene by its maps, as rendered by ``Renderer(.., maps=["tensor"])``.
 
-        ``previous`` is ``scene.ego`` of the previous frame, ``[4, 4]``; without it, the ego has not moved. The positions of
-        cameras are those relative to ``scene.ego``: in scenes of a simulation, where they are mounted; in scenes of a log,
-        where they recorded their images, some milliseconds earlier or later.
+        ``previous`` is ``scene.ego`` of the previous frame, ``[4, 4]``; without it, the ego has not moved.
+        Camera positions are relative to ``scene.ego``. In a simulation, these are the mounting positions; in
+        a log, the positions at the images' own times, some milliseconds earlier or later.
         """
         motion = np.linalg.inv(numbers(previous).astype(np.float64)) @ scene.ego if previous is not None else np.eye(4)
         action = [motion[0, 3], motion[1, 3], np.arctan2(motion[1, 0], motion[0, 0])]

@@ -44,7 +44,7 @@ class AdapterConfig:
 
 @dataclass(frozen=True)
 class Config:
-    """Sizes of the network. The defaults are those of the published nuScenes and nuPlan checkpoints."""
+    """Sizes of the network. The defaults match the published nuScenes and nuPlan checkpoints."""
 
     num_layers: int = 24
     num_attention_heads: int = 24
@@ -132,7 +132,7 @@ _Config = TypeVar("_Config", Config, AdapterConfig)
 
 
 def _merged(default: _Config, values: Any, prefix: str) -> _Config:
-    """Replace the fields of a configuration by those of a JSON object; ``prefix`` is the path of its keys."""
+    """Override the fields of a configuration with a JSON object; ``prefix`` is the path of its keys."""
     if not isinstance(values, dict):
         raise ValueError(f"expected a JSON object{prefix and ' ' + prefix[:-1]}, found {json.dumps(values)[:40]}")
     known: dict[str, Any] = vars(default)

@@ -62,7 +62,7 @@ class Models:
 
 
 class Denoiser:
-    """Predicts velocities of windows of a log, and encodes and decodes its images.
+    """Predicts velocities for the windows of a log, and encodes and decodes its images.
 
     A ``Denoiser`` is the function of ``pskel.ResetAndRoll``; its conditions are ``FrameCondition``. Cameras are in the order
     of ``rig``. Encoded conditions of ``cached_frames`` frames remain on the device, found by their content: calls give the
@@ -81,9 +81,9 @@ class Denoiser:
         self._texts: Cache[tuple[Tensor, Tensor]] = Cache(_CACHED_TEXTS)
 
     def latent_shape(self, size: Sequence[int]) -> tuple[int, int, int, int]:
-        """Return the shape ``[V, C, h, w]`` of the latents of a frame of a size (height, width).
+        """Return the latent shape ``[V, C, h, w]`` for frames with a size (height, width).
 
-        Raises ``ValueError`` for a size that the network does not take.
+        Raises ``ValueError`` for an unsupported size.
         """
         config = self.models.network.config
         unit, most = LATENT_SCALE * config.patch_size, LATENT_SCALE * config.patch_size * config.pos_embed_max_size
@@ -99,7 +99,7 @@ class Denoiser:
         sigmas: npt.ArrayLike,
         conditions: Sequence[FrameCondition],
     ) -> _Array:
-        """Predict the velocity, noise less latents, ``float32 [L, V, C, h, w]`` of a window of noisy ``latents``.
+        """Predict the velocity (noise less latents) ``float32 [L, V, C, h, w]`` for a noisy window.
 
         ``timesteps`` ``[L]`` are 1000 times the ``sigmas`` of flow matching, which are not used themselves. Raises
         ``ValueError`` for arrays of other shapes, a window of less than 2 frames, and a prediction that is not finite.
@@ -116,7 +116,7 @@ class Denoiser:
     ) -> tuple[_Array, _Array]:
         """Predict both halves of guidance, with all conditions and without the ``dropped`` parts, as two clips of one call.
 
-        Arguments, results and errors are those of a call, and of ``FrameCondition.without``.
+        Arguments, results and errors as for a call, and as for ``FrameCondition.without``.
         """
         bare = [condition.without(*dropped) for condition in conditions]
         conditional, unconditional = self._predict(latents, timesteps, [conditions, bare])
@@ -125,7 +125,7 @@ class Denoiser:
     def _predict(
         self, latents: npt.ArrayLike, timesteps: npt.ArrayLike, clips: Sequence[Sequence[FrameCondition]]
     ) -> _Array:
-        """Predict the velocities ``[B, L, V, C, h, w]`` of one window with the conditions of each of B ``clips``."""
+        """Predict velocities ``[B, L, V, C, h, w]`` of one window, for the conditions of B ``clips``."""
         sample, levels = _tensor(latents), _tensor(timesteps)
         for conditions in clips:
             self._expect_window(sample, levels, conditions)
@@ -167,7 +167,7 @@ class Denoiser:
                 raise ValueError(f"expected layout of {[views, LAYOUT_CHANNELS, *size]}, found {list(found)}")
 
     def _encoded(self, conditions: Sequence[FrameCondition]) -> Conditions:
-        """Encode the conditions of a window; adapters and text encoders run for new content alone."""
+        """Encode the conditions of a window; adapters and text encoders run only for new content."""
         network = self.models.network
         cameras = _tensor(np.stack([condition.cameras for condition in conditions]))[:, self._order]
         action = _tensor(np.stack([condition.action for condition in conditions]))

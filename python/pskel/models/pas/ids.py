@@ -34,7 +34,8 @@ def added_time_ids(
     They are: frames per second; fx/H, fy/H, cx/W, cy/H of the original images; optical axis and position (m) of the camera
     in the ego frame; speed (km/h); angle of the steering wheel (rad, left is positive).
 
-    - ``intrinsics`` ``[B, T, V, 3, 3]`` in pixels of images of ``image_sizes`` ``[B, T, V, 2]`` (width, height),
+    - ``intrinsics`` ``[B, T, V, 3, 3]`` in pixels, for images with ``image_sizes`` ``[B, T, V, 2]`` (width,
+      height),
     - ``ego_from_camera`` ``[B, T, V, 4, 4]``; the camera frame is x right, y down, z forward,
     - ``global_from_ego`` ``[B, T, V, 4, 4]``, or ``[B, T, 1, 4, 4]`` for one ego pose per frame; best in ``float64``.
 

@@ -26,7 +26,7 @@ _DEPTH_SCALE = 0.5
 
 
 class Conditions(NamedTuple):
-    """Encoded conditions of B clips of T frames and V cameras; D is the number of channels of a token."""
+    """Encoded conditions of B clips with T frames and V cameras; tokens have D channels."""
 
     residuals: tuple[Tensor, ...]
     """For each of the first blocks ``[B, T, V, tokens, D]``, of both adapters."""
@@ -50,11 +50,11 @@ class Conditions(NamedTuple):
 
 
 class Network(nn.Module):
-    """Predicts the velocity (noise less latents) of noisy latents of all frames and cameras of a window.
+    """Predicts the velocity (noise less latents) for noisy latents, over all frames and cameras of a window.
 
-    The names of parameters and buffers are those of the published checkpoints. All inputs are converted to the device and,
-    except timesteps and ``added_time_ids``, to the type of the parameters. Sources: *Point as Skeleton*; OpenDWM
-    (github.com/SenseTime-FVG/OpenDWM); Stable Diffusion 3, arXiv:2403.03206.
+    Parameter and buffer names match the published checkpoints. All inputs are converted to the device and,
+    except timesteps and ``added_time_ids``, to the type of the parameters. Sources: *Point as Skeleton*;
+    OpenDWM (github.com/SenseTime-FVG/OpenDWM); Stable Diffusion 3, arXiv:2403.03206.
     """
 
     def __init__(self, config: Config) -> None:
@@ -103,10 +103,10 @@ class Network(nn.Module):
         points: Tensor,
         added_time_ids: Tensor,
     ) -> Conditions:
-        """Encode what depends neither on latents nor on timesteps.
+        """Encode the inputs that depend neither on latents nor on timesteps.
 
-        - ``encoder_hidden_states`` ``[B, T, V, S, 4096]``: tokens of the prompts, 77 of CLIP-L and CLIP-G (2048 channels,
-          padded with zeros), then 77 of T5,
+        - ``encoder_hidden_states`` ``[B, T, V, S, 4096]``: prompt tokens, 77 from CLIP-L and CLIP-G (2048
+          channels, padded with zeros), then 77 from T5,
         - ``pooled_projections`` ``[B, T, V, 2048]``: pooled CLIP-L (768), then CLIP-G (1280),
         - ``layout`` ``[B, T, V, 6, H, W]``: boxes and map, RGB of 0 to 1,
         - ``points`` ``[B, T, V, 20, H, W]``: color (RGB of 0 to 1), depth (0 to 1, -1 where empty), its sines and cosines,

@@ -72,7 +72,7 @@ class Rig:
 
     @property
     def order(self) -> list[int]:
-        """Indices of the cameras in the order of the network: that of the training, or as given for an unknown rig."""
+        """Camera indices in the network's order: as trained, or as given for an unknown rig."""
         known = self.published
         return list(range(len(self.cameras))) if known is None else [self.cameras.index(name) for name in known.cameras]
 

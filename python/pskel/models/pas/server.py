@@ -24,7 +24,7 @@ _Array = np.ndarray[Any, np.dtype[np.float32]]
 
 
 class Hello(NamedTuple):
-    """What the generator announces."""
+    """Announcement of the generator."""
 
     window: int
     size: tuple[int, int]
@@ -69,8 +69,8 @@ def serve(
 ) -> None:
     """Answer the messages of a generator until it closes the stream.
 
-    ``cached_frames`` is that of ``Denoiser``, by default twice the window. ``log`` receives notices (by default standard
-    error). Raises ``ValueError`` for messages and requests that the network cannot answer.
+    ``cached_frames``: see ``Denoiser``; by default twice the window. ``log`` receives notices (by default
+    standard error). Raises ``ValueError`` for messages and requests that the network cannot answer.
     """
     first = messages.read(source)
     if first is None:

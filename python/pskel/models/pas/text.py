@@ -43,7 +43,7 @@ class TextEncoder:
         dtype: torch.dtype = torch.float32,
         device: str | torch.device = "cpu",
     ) -> TextEncoder:
-        """Read the encoders and tokenizers of a folder of Stable Diffusion 3.5.
+        """Read the encoders and tokenizers from a Stable Diffusion 3.5 folder.
 
         Raises ``ValueError``, which names the folder, if they cannot be read or have other numbers of channels.
         """

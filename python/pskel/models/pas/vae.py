@@ -30,8 +30,8 @@ class ImageCodec:
     def load(cls, folder: Path, channels: int, device: str | torch.device = "cpu") -> ImageCodec:
         """Read a folder of ``AutoencoderKL``.
 
-        Raises ``ValueError``, which names the folder, if it cannot be read, or if its latents have other than ``channels``
-        channels or another than an eighth of the size of images.
+        Raises ``ValueError``, which names the folder, if it cannot be read, or if its latents do not have
+        ``channels`` channels and an eighth of the image size.
         """
         try:
             vae = AutoencoderKL.from_pretrained(folder, torch_dtype=torch.float32, local_files_only=True)

@@ -18,9 +18,9 @@ use crate::commands::simulate::inputs::Inputs;
 pub(crate) struct GenerationArgs {
     /// Also generate the cameras' images with a network: network (shipped with the program), network:FILE
     /// with weights of `pskel train`, fill (no network: holes filled), or process:COMMAND, process:unix:PATH
-    /// or process:tcp:HOST:PORT (docs/src/reference/denoiser.md). Each planning step gets steps/STEP/generated, and truth
-    /// if ground truth is known. Map options apply to the written maps; the network's conditions are rendered
-    /// as in its training
+    /// or process:tcp:HOST:PORT (docs/src/reference/denoiser.md). Each planning step gets
+    /// steps/STEP/generated, and truth if ground truth is known. Map options apply to the written maps; the
+    /// network's conditions are rendered as in its training
     #[arg(long, value_name = "NETWORK")]
     pub(crate) generator: Option<NetworkName>,
     #[command(flatten, next_help_heading = "Options of --generator")]
