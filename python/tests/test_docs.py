@@ -11,7 +11,7 @@ import pskel
 import pytest
 from conftest import Run
 
-PAGE = Path(__file__).parents[2] / "docs" / "PYTHON.md"
+PAGE = Path(__file__).parents[2] / "docs/src/guide/python.md"
 
 
 def page() -> list[str]:

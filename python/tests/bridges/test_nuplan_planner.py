@@ -15,7 +15,7 @@ from typing import Any
 
 import pytest
 
-SHARED = Path(os.environ.get("PSKEL_SHARED", Path(__file__).parents[3] / "shared"))
+SHARED = Path(os.environ.get("PSKEL_SHARED", Path(__file__).parents[4] / "shared"))
 DEVKIT = SHARED / "interop/nuplan-devkit"
 PANDASET = SHARED / "data/pandaset-002/nuplan"
 PYTHON = os.environ.get("PSKEL_DEVKIT_PYTHON")

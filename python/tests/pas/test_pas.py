@@ -15,7 +15,7 @@ pytest.importorskip("diffusers")
 safetensors = pytest.importorskip("safetensors.torch")
 from pskel.models.pas import Conditions, Config, Network, added_time_ids, load  # noqa: E402
 
-SHARED = Path(os.environ.get("PSKEL_SHARED", Path(__file__).parents[3] / "shared"))
+SHARED = Path(os.environ.get("PSKEL_SHARED", Path(__file__).parents[4] / "shared"))
 FIXTURE = Path(os.environ.get("PSKEL_FIXTURES", SHARED / "fixtures")) / "pas-network"
 WEIGHTS = FIXTURE / "weights.safetensors"
 needs_fixture = pytest.mark.skipif(not FIXTURE.exists(), reason="pas-network is not there (set PSKEL_SHARED)")

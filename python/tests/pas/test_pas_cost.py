@@ -11,8 +11,8 @@ pytest.importorskip("diffusers")
 from pskel.models.pas.cost import cost, main  # noqa: E402
 from pskel.models.pas.rig import PUBLISHED  # noqa: E402
 
-PAGE = Path(__file__).parents[2] / "docs" / "PAS.md"
-SHARED = Path(os.environ.get("PSKEL_SHARED", Path(__file__).parents[3] / "shared"))
+PAGE = Path(__file__).parents[3] / "docs/src/reference/pas.md"
+SHARED = Path(os.environ.get("PSKEL_SHARED", Path(__file__).parents[4] / "shared"))
 CHECKPOINT = Path(os.environ.get("PSKEL_FIXTURES", SHARED / "fixtures")) / "pas-network" / "nuscenes.json"
 
 

@@ -12,7 +12,7 @@ import torch
 from pas_base import Array, Peer, unpack, write_base
 from pskel.models.pas import Config, Denoiser, FrameCondition, Models, Rig
 
-SHARED = Path(os.environ.get("PSKEL_SHARED", Path(__file__).parents[3] / "shared"))
+SHARED = Path(os.environ.get("PSKEL_SHARED", Path(__file__).parents[4] / "shared"))
 FIXTURE = Path(os.environ.get("PSKEL_FIXTURES", SHARED / "fixtures")) / "pas-network"
 needs_fixture = pytest.mark.skipif(not FIXTURE.exists(), reason="pas-network is not there (set PSKEL_SHARED)")
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-ROOT = Path(__file__).parent.parent.parent
+ROOT = Path(__file__).parents[3]
 GENERATOR = "1.62.3"
 COMMITTED = ROOT / "python/pskel/alpasim"
 

@@ -14,7 +14,7 @@ import pytest
 pytest.importorskip("grpc")
 pytest.importorskip("carla_driver_interface")
 
-SHARED = Path(os.environ.get("PSKEL_SHARED", Path(__file__).parents[3] / "shared"))
+SHARED = Path(os.environ.get("PSKEL_SHARED", Path(__file__).parents[4] / "shared"))
 PANDASET = SHARED / "data/pandaset-002/nuscenes"
 TOWN = "town:seed=7,frames=40,size=113x200"
 SMALL = ["--steps=60", "--size=56x100", "--maps=color", "--driver-timeout=60"]
