@@ -20,7 +20,7 @@ from conftest import DRIVE
 image = pytest.importorskip("PIL.Image")
 
 TESTS = Path(__file__).parent
-SHARED = Path(os.environ.get("PSKEL_SHARED", TESTS.parents[2] / "shared"))
+SHARED = Path(os.environ.get("PSKEL_SHARED", TESTS.parents[3] / "shared"))
 DEVKIT = SHARED / "interop/nuplan-devkit"
 PYTHON = os.environ.get("PSKEL_DEVKIT_PYTHON")
 devkit = pytest.mark.skipif(PYTHON is None or not DEVKIT.exists(), reason="needs PSKEL_DEVKIT_PYTHON and nuplan-devkit")
@@ -119,7 +119,7 @@ def test_what_an_agent_needs_is_told(drive: Path, tmp_path: Path) -> None:
 
 def scenes(out: Path, scenes: Path, *options: str, code: int = 0) -> str:
     """Run pskel.navsim_scenes in the environment of the devkit; returns its output."""
-    path = os.pathsep.join(str(folder) for folder in (TESTS.parent, DEVKIT))
+    path = os.pathsep.join(str(folder) for folder in (TESTS.parents[1], DEVKIT))
     command = [str(PYTHON), "-m", "pskel.navsim_scenes", str(out), f"--out={scenes}", *options]
     environment = {**os.environ, "PYTHONPATH": path}
     done = subprocess.run(command, capture_output=True, text=True, timeout=180, check=False, env=environment)

@@ -40,7 +40,7 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def planner(kind: str, seen: Path) -> str:
     """The command of the recorder. It runs from the source tree, since the devkit's environment has no wheel."""
-    path = os.pathsep.join(str(folder) for folder in (TESTS.parent, TESTS, DEVKIT))
+    path = os.pathsep.join(str(folder) for folder in (TESTS.parents[1], TESTS, DEVKIT))
     arguments = json.dumps({"kind": kind, "seen": str(seen)})
     return f"PYTHONPATH={path} {PYTHON} -m pskel.nuplan_planner nuplan_recorder:Recorder --args {shlex.quote(arguments)}"
 
