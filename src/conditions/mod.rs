@@ -7,8 +7,9 @@
 //! recorded images. [`tensor`] encodes the maps as network input. In memory an empty depth is
 //! `f32::INFINITY`; −300 occurs only in files.
 //!
-//! Writers: [`png`], [`exr`], [`npz`], [`safetensors`], the contact [`sheet`], the bird's-eye view
-//! ([`birdseye`]) and the metadata ([`meta`]). See `docs/src/reference/maps.md` for the map definitions.
+//! Writers: [`write::png`], [`write::exr`], [`write::npz`], [`write::safetensors`], the contact
+//! [`view::sheet`], the bird's-eye view ([`birdseye`]) and the metadata ([`write::meta`]). See
+//! `docs/src/reference/maps.md` for the map definitions.
 
 pub mod bins;
 pub mod birdseye;

@@ -33,7 +33,7 @@ const NUMBER_BITS: u32 = 46;
 /// two wavy rows of facades 7 to 20 m away and up to 15 m high, denser towards the bottom. Points are in
 /// Morton order of half-meter cells, as in clouds merged by voxel. Their class is 0.
 ///
-/// The same seed gives the same points for any number of threads. Peak memory is [`POINT_BYTES`] per point,
+/// The same seed gives the same points for any number of threads. Peak memory is 24 bytes per point,
 /// 16 of them for the result.
 pub fn street_cloud(points: usize, seed: u64) -> Vec<Point> {
     let key = |number: usize| Site::new(number as u64, seed).cell() << NUMBER_BITS | number as u64;

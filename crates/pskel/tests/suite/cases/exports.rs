@@ -6,9 +6,9 @@ use std::process::Command;
 use serde_json::{Value, json};
 
 use super::outputs::{EXPORT, assert_refused};
-use crate::guarded;
 use crate::tiny_log::RunPskel as _;
 use crate::tiny_log::{FIRST_US, STEP_US, TinyLog, assert_failed, tree};
+use crate::untrusted::guarded;
 
 #[test]
 fn exports_do_not_replace_foreign_files() {

@@ -6,8 +6,8 @@ use std::path::Path;
 use serde_json::Value;
 
 use super::Case;
-use crate::guarded;
 use crate::tiny_log::{CAMERAS, TinyLog, picture, sweep};
+use crate::untrusted::guarded;
 use pskel_testing::av2_log::{self, TinyAv2};
 use pskel_testing::nuplan_log::{Made, RING, image_file};
 use pskel_testing::shared::shared;

@@ -21,7 +21,7 @@ use std::process::Command;
 
 use tempfile::TempDir;
 
-use crate::guarded::{self, Ended};
+use crate::untrusted::guarded::{self, Ended};
 use pskel_testing::shared::shared;
 
 /// Inputs of a shared case, in a folder that is removed on drop.

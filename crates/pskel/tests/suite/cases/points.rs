@@ -11,9 +11,9 @@ use point_skeleton::skeleton::{
 use serde_json::json;
 
 use super::Case;
-use crate::guarded;
 use crate::tiny_log::RunPskel as _;
 use crate::tiny_log::TinyLog;
+use crate::untrusted::guarded;
 use pskel_testing::npz;
 use pskel_testing::shared::shared;
 

@@ -9,7 +9,7 @@ use point_skeleton::skeleton::{
 };
 use serde_json::{Value, json};
 
-use crate::mcap_file::McapFile;
+use crate::simulate::mcap_file::McapFile;
 use crate::simulate::{SIMULATE, built};
 use crate::tiny_log::RunPskel as _;
 use crate::tiny_log::{START, TinyLog, assert_failed, tree};

@@ -8,7 +8,7 @@ use point_skeleton::dataset::{DatasetError, LogLocator, LogReader, MissingData, 
 use proptest::prelude::*;
 use serde_json::{Value, json};
 
-use crate::made_town::{FRAMES, VERSION, copy_to};
+use crate::town::synthetic_town::{FRAMES, VERSION, copy_to};
 
 const TABLES: [&str; 13] = [
     "attribute",

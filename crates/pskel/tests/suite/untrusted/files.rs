@@ -8,7 +8,7 @@ use std::path::Path;
 use rustix::fs::{CWD, FileType, mknodat};
 use serde_json::{Value, json};
 
-use crate::guarded::{Ended, listing, run};
+use super::guarded::{Ended, listing, run};
 use crate::tiny_log::RunPskel as _;
 use crate::tiny_log::TinyLog;
 use pskel_testing::av2_log::{LOG_ID, TinyAv2, picture, sweep};

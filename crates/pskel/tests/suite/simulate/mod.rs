@@ -1,5 +1,12 @@
 //! `pskel simulate` through the command line.
 
+pub(super) mod folder;
+pub(super) mod generated;
+pub(super) mod mcap;
+pub(super) mod mcap_file;
+pub(super) mod peer_ends;
+pub(super) mod peer_lines;
+
 use std::collections::BTreeSet;
 use std::os::unix::fs::PermissionsExt;
 use std::path::Path;

@@ -1,10 +1,10 @@
 //! The examples write the maps that the command writes.
 
 #[allow(unreachable_pub)] // `run` is public in the example
-#[path = "../../../../examples/closed_loop.rs"]
+#[path = "../../../../../examples/closed_loop.rs"]
 mod closed_loop;
 #[allow(unreachable_pub)]
-#[path = "../../../../examples/render_frame.rs"]
+#[path = "../../../../../examples/render_frame.rs"]
 mod render_frame;
 
 use std::collections::BTreeMap;

@@ -316,7 +316,7 @@ fn pictures_do_not_depend_on_threads() {
     }
     let run = |threads: &str| {
         let output = std::process::Command::new(std::env::current_exe().unwrap())
-            .args(["--exact", "town_view::pictures_do_not_depend_on_threads", "--nocapture"])
+            .args(["--exact", "town::town_view::pictures_do_not_depend_on_threads", "--nocapture"])
             .env(INNER, "1")
             .env("LP_NUM_THREADS", threads)
             .env("RAYON_NUM_THREADS", threads)

@@ -8,7 +8,7 @@ use point_skeleton::dataset::{Area, LogLocator, LogReader, VectorMap};
 use proptest::prelude::*;
 use serde_json::{Value, json};
 
-use crate::made_town::{VERSION, copy_to};
+use crate::town::synthetic_town::{VERSION, copy_to};
 use pskel_testing::shared::shared;
 
 /// Returns a 10 m square with a hole, a lane on it that ends in a connector, a crossing, a stop line and two

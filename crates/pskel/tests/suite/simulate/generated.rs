@@ -6,8 +6,8 @@ use std::path::Path;
 use image::RgbImage;
 use serde_json::{Value, json};
 
+use super::{assert_page_is_whole, built, planner};
 use crate::generate::network::{made, weights};
-use crate::simulate::{assert_page_is_whole, built, planner};
 use crate::tiny_log::RunPskel as _;
 use crate::tiny_log::{CAMERAS, HEIGHT, TinyLog, WIDTH, assert_failed, picture, tree};
 

@@ -8,8 +8,8 @@ use pskel_sim::peer::PeerAddress;
 use pskel_sim::{EgoPolicy, PlannerSpec, SimOptions, Simulation};
 use rustix::process::{Pid, Signal, kill_process};
 
+use super::{SIMULATE, built};
 use crate::sim::made;
-use crate::simulate::{SIMULATE, built};
 use crate::tiny_log::with_default_signals;
 
 /// Maximum time that processes may outlive the program.

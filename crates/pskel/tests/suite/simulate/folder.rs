@@ -2,7 +2,7 @@
 
 use serde_json::json;
 
-use crate::simulate::{SIMULATE, assert_page_is_whole, built, planner, rows};
+use super::{SIMULATE, assert_page_is_whole, built, planner, rows};
 use crate::tiny_log::RunPskel as _;
 use crate::tiny_log::{TinyLog, assert_failed, tree};
 

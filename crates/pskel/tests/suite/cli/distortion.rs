@@ -35,7 +35,7 @@ struct PeerCamera {
 #[test]
 fn projected_points_match_opencv() {
     const ALLOWED_PX: f64 = 1e-8;
-    let peers: Peers = serde_json::from_str(include_str!("../peers/distortion.json")).unwrap();
+    let peers: Peers = serde_json::from_str(include_str!("../../peers/distortion.json")).unwrap();
     for peer in peers.cameras {
         let distortion = Distortion::from_opencv(peer.distortion);
         let camera = Camera::new(&peer.name, peer.width, peer.height, peer.intrinsics).unwrap();

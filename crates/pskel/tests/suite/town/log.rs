@@ -13,7 +13,7 @@ use point_skeleton::scene::{EgoOffset, state_at, state_of_frame};
 use point_skeleton::skeleton::{BuildOptions, SplitOptions};
 use pskel_town::{Daylight, Town, TownOptions};
 
-use crate::made_town::{self, FRAMES, OPTIONS, town};
+use super::synthetic_town::{self, FRAMES, OPTIONS, town};
 use crate::tiny_log::tree;
 use pskel_testing::shared::{WithLog, skeleton_of};
 
@@ -119,8 +119,8 @@ fn frames_sweeps_and_images_have_their_times() {
 
 #[test]
 fn a_written_town_is_read_back_unchanged() {
-    let (town, (_files, read)) = (town(), made_town::read());
-    assert_eq!(made_town::written().done, (0..FRAMES).collect::<Vec<_>>());
+    let (town, (_files, read)) = (town(), synthetic_town::read());
+    assert_eq!(synthetic_town::written().done, (0..FRAMES).collect::<Vec<_>>());
     let (a, b) = (town.recording(), read.recording());
     assert_eq!((&a.name, &a.location, &a.cameras, &a.tracks), (&b.name, &b.location, &b.cameras, &b.tracks));
     let mounts = |(a, b): (&RigCamera, &RigCamera)| {
@@ -310,7 +310,7 @@ fn ground_truth_is_numbered_like_boxes() {
 /// interpolated.
 #[test]
 fn sweeps_between_frames_are_split_by_interpolated_boxes() {
-    let (_files, drive) = made_town::read();
+    let (_files, drive) = synthetic_town::read();
     let mut log = WithLog::grey(&drive, &[1, 2]);
     // All boxes creep forward independently of the actors, so that the choice of boxes matters.
     for (frame, item) in

@@ -13,9 +13,9 @@ use point_skeleton::skeleton::{
 };
 use serde_json::json;
 
-use crate::made_town::{self, FRAMES};
 use crate::tiny_log::RunPskel as _;
 use crate::tiny_log::{PSKEL, TinyLog, assert_failed, tree};
+use crate::town::synthetic_town::{self, FRAMES};
 use pskel_testing::shared::WithLog;
 
 /// A log whose sweeps can be read only a limited number of times.
@@ -59,7 +59,7 @@ fn build(
 
 #[test]
 fn a_build_resumes_after_any_failure_to_the_same_bytes() {
-    let (_files, drive) = made_town::read();
+    let (_files, drive) = synthetic_town::read();
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("sk");
     for voxel_m in [0.0, 0.05] {
@@ -102,7 +102,7 @@ impl Progress for Stopping {
 
 #[test]
 fn a_build_stops_before_the_next_frame_is_read() {
-    let (_files, drive) = made_town::read();
+    let (_files, drive) = synthetic_town::read();
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("sk");
     let options = options(0.0);
@@ -139,7 +139,7 @@ fn killed_after(folder: &Path, args: &str, time: Duration) -> bool {
 #[test]
 fn a_killed_build_resumes_to_the_same_bytes() {
     let folder = tempfile::tempdir().unwrap();
-    made_town::copy_to(&folder.path().join("log"), |_| true);
+    synthetic_town::copy_to(&folder.path().join("log"), |_| true);
     let run = |args: &str| {
         let mut command = Command::new(PSKEL);
         let output = command.current_dir(folder.path()).args(args.split_whitespace()).output().unwrap();
@@ -265,7 +265,7 @@ fn a_fresh_build_reports_the_discarded_work() {
 /// copy.
 #[test]
 fn an_image_shared_by_two_frames_colors_both() {
-    let (_files, drive) = made_town::read();
+    let (_files, drive) = synthetic_town::read();
     let folder = tempfile::tempdir().unwrap();
     let reports = |images: Vec<ImageRecord>| {
         let mut log = drive.recording().clone();

@@ -11,8 +11,8 @@ use foxglove::messages::{
 use glam::{DAffine3, DMat4, DQuat, DVec3};
 use serde_json::{Value, json};
 
-use crate::mcap_file::McapFile;
-use crate::simulate::{SIMULATE, built, planner, rows};
+use super::mcap_file::McapFile;
+use super::{SIMULATE, built, planner, rows};
 use crate::tiny_log::RunPskel as _;
 use crate::tiny_log::{CAMERAS, START, TinyLog, assert_failed, tree};
 

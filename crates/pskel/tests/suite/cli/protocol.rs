@@ -2,8 +2,8 @@
 
 use serde_json::{Value, json};
 
-use crate::generated::{at_call, denoiser};
 use crate::simulate::built;
+use crate::simulate::generated::{at_call, denoiser};
 use crate::tiny_log::RunPskel as _;
 use crate::tiny_log::{CAMERAS, FRAMES, TinyLog, assert_failed, picture, tree};
 

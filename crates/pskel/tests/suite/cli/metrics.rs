@@ -11,7 +11,7 @@ use pskel_eval::{
 };
 use serde::Deserialize;
 
-use crate::made_town::town;
+use crate::town::synthetic_town::town;
 
 #[derive(Deserialize)]
 struct Peers {
@@ -46,7 +46,7 @@ struct Masks {
 }
 
 fn peers() -> Peers {
-    serde_json::from_str(include_str!("../peers/quality.json")).unwrap()
+    serde_json::from_str(include_str!("../../peers/quality.json")).unwrap()
 }
 
 /// Same numbers as in the script.

@@ -43,7 +43,7 @@ struct Case {
 
 #[test]
 fn tensors_match_numpy() {
-    let peers: Peers = serde_json::from_str(include_str!("../peers/tensor.json")).unwrap();
+    let peers: Peers = serde_json::from_str(include_str!("../../peers/tensor.json")).unwrap();
     let rgb = |levels: &[u8]| levels.as_chunks::<3>().0.to_vec();
     for case in peers.cases {
         let scale = if case.scale == "log" { BinScale::Log } else { BinScale::Linear };

@@ -29,7 +29,7 @@ fn far_off(number: u8, one: &[u8], other: &[u8], width: usize) -> [usize; 2] {
 
 #[test]
 fn lines_lie_within_a_pixel_of_pillows() {
-    let peer: Peer = serde_json::from_str(include_str!("../peers/lines.json")).unwrap();
+    let peer: Peer = serde_json::from_str(include_str!("../../peers/lines.json")).unwrap();
     let runs = peer.runs.chunks_exact(2).flat_map(|run| vec![run[0] as u8; usize::from(run[1])]);
     let expected: Vec<u8> = runs.collect();
     let segment = |(number, [a, b, c, d]): (u8, &[f32; 4])| Segment {

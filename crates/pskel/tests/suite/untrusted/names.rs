@@ -4,7 +4,7 @@ use std::path::Path;
 
 use serde_json::json;
 
-use crate::guarded::{Ended, listing, run};
+use super::guarded::{Ended, listing, run};
 use crate::tiny_log::TinyLog;
 use pskel_testing::av2_log::{LOG_ID, TinyAv2, set, texts};
 use pskel_testing::nuplan_log::{LOG, Made};
