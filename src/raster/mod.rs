@@ -54,6 +54,7 @@ pub use maps::map_set::{MapDescription, MapKind, MapSet, PixelType};
 pub use maps::plane::Plane;
 pub use maps::reduce;
 pub use maps::{Segment, SplatMaps, StageTimes};
+pub(crate) use schedule::DEFAULT_STEPS;
 pub use schedule::{ScheduleError, SplatSchedule, SplatStep};
 
 use crate::cloud::Point;

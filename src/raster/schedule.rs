@@ -95,11 +95,16 @@ impl SplatSchedule {
 /// Near plane: points at or below this camera depth are not drawn, meters.
 pub(super) const Z_NEAR_M: f32 = 1e-5;
 
-/// The nuScenes schedule.
+/// Entries of the default schedule, which is for nuScenes: images 1600 pixels wide.
+pub(crate) const DEFAULT_STEPS: [SplatStep; 3] = [
+    SplatStep { z_max_m: 15.0, radius: 2 },
+    SplatStep { z_max_m: 35.0, radius: 1 },
+    SplatStep { z_max_m: 100.0, radius: 0 },
+];
+
 impl Default for SplatSchedule {
     fn default() -> Self {
-        let step = |z_max_m, radius| SplatStep { z_max_m, radius };
-        Self(vec![step(15.0, 2), step(35.0, 1), step(100.0, 0)])
+        Self(DEFAULT_STEPS.to_vec())
     }
 }
 

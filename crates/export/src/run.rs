@@ -76,8 +76,9 @@ pub struct Export<'a> {
 /// reported, and the others are written all the same. If all shards of the list exist then, writes
 /// `index.json`.
 ///
-/// # Errors Fails if the folder cannot be written, if it has an export with other options or foreign files,
-/// or if it is the folder of the skeletons, or is in a skeleton or a part of a log.
+/// # Errors
+/// Fails if the folder cannot be written, if it has an export with other options or foreign files, or if it
+/// is the folder of the skeletons, or is in a skeleton or a part of a log.
 pub fn export(run: Export<'_>) -> Result<ExportReport, ExportError> {
     if is_one_file(run.out, run.skeletons) {
         let expected = "a folder of skeletons apart from that of the export";

@@ -55,7 +55,8 @@ impl<W: Write> SceneFile<W> {
 
     /// Returns the time of messages from absolute microseconds.
     ///
-    /// # Errors Fails if messages cannot represent it.
+    /// # Errors
+    /// Fails if messages cannot represent it.
     pub fn time(&self, t_us: i64) -> Result<Timestamp, FileError> {
         messages::timestamp(t_us).ok_or_else(|| {
             let found = format!("{t_us} microseconds after 1970");

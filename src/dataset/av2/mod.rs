@@ -1,10 +1,10 @@
 //! Argoverse 2 sensor logs: one folder per log with Feather files (boxes, poses, calibration, sweeps),
 //! images, and a JSON map.
 //!
-//! # How it works `feather` and `column` read tables, and `read` combines the tables of a log. `sweep` and
-//! `map` read their files
-//! on demand. A frame is an annotated time; its sweep is the file with the same time, its images are the
-//! nearest in time. Times are nanoseconds in files and whole microseconds in a [`Recording`]. Format:
+//! # How it works
+//! `feather` and `column` read tables, and `read` combines the tables of a log. `sweep` and `map` read their
+//! files on demand. A frame is an annotated time; its sweep is the file with the same time, its images are
+//! the nearest in time. Times are nanoseconds in files and whole microseconds in a [`Recording`]. Format:
 //! <https://argoverse.github.io/user-guide/datasets/sensor.html>.
 
 mod annotations;

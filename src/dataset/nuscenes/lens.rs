@@ -66,8 +66,9 @@ const OPENCV_MODELS: [&str; 11] = [
 
 /// Returns the lens of a calibrated camera; `record` and `path` are for messages.
 ///
-/// # Errors Fails if the coefficients apply and follow another model than OpenCV's: `k1 k2 p1 p2`, then `k3`
-/// or further zeros, under a name in [`OPENCV_MODELS`]. Fails if two fields apply that contradict each other.
+/// # Errors
+/// Fails if the coefficients apply and follow another model than OpenCV's: `k1 k2 p1 p2`, then `k3` or
+/// further zeros, under a name in [`OPENCV_MODELS`]. Fails if two fields apply that contradict each other.
 pub(super) fn lens(
     calibrated: &CalibratedSensor,
     sensor: &Sensor,

@@ -1,7 +1,8 @@
 //! nuScenes: JSON tables linked by tokens (10 are read), with LiDAR sweeps and camera images beside them.
 //!
-//! # How it works `tables` defines the raw records, `version` finds the records of one scene, `read` converts
-//! them to a [`Recording`], and `sweep` reads and writes sweep files. Format:
+//! # How it works
+//! `tables` defines the raw records, `version` finds the records of one scene, `read` converts them to a
+//! [`Recording`], and `sweep` reads and writes sweep files. Format:
 //! <https://www.nuscenes.org/nuscenes#data-format>.
 
 mod annotations;

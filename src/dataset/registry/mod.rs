@@ -1,9 +1,9 @@
 //! The log formats of this program: one row per reader, also of readers in other crates.
 //!
-//! # How it works The rows of this crate are in [`BUILT_IN`]; a crate with another format, such as the
-//! synthetic town, adds its row with [`register`] when the program starts. Names of logs are parsed here,
-//! since a path alone
-//! is recognized by the formats.
+//! # How it works
+//! The rows of this crate are in [`BUILT_IN`]; a crate with another format, such as the synthetic town, adds
+//! its row with [`register`] when the program starts. Names of logs are parsed here, since a path alone is
+//! recognized by the formats.
 
 pub(super) mod format;
 

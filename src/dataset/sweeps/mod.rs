@@ -1,9 +1,10 @@
 //! Sweep files: what the readers of all layouts have in common.
 //!
-//! # How it works `format` recognizes files by their header. `layout` recognizes rows without a header by the
-//! values that `sample` reads. `pcd` reads files with a header. `rows` collects the points and
-//! decides what a value that is not a number means. `devices` judges whether the numbers of a column are
-//! beams or merged LiDARs, and `decision` decides for a log.
+//! # How it works
+//! `format` recognizes files by their header. `layout` recognizes rows without a header by the values that
+//! `sample` reads. `pcd` reads files with a header. `rows` collects the points and decides what a value that
+//! is not a number means. `devices` judges whether the numbers of a column are beams or merged LiDARs, and
+//! `decision` decides for a log.
 
 #[cfg(any(feature = "nuscenes", feature = "nuplan"))]
 mod decision;

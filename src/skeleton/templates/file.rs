@@ -11,7 +11,8 @@ use crate::skeleton::{Checksum, Template};
 /// Reads a template of a kind from an NPY or PLY file and centers its bounds on the origin, as boxes are.
 /// Also returns sentences on unusual content, including [`PointFile::notes`](cloud::PointFile::notes).
 ///
-/// # Errors Fails if the file cannot be read, or if the bounds of its points do not form a box.
+/// # Errors
+/// Fails if the file cannot be read, or if the bounds of its points do not form a box.
 pub fn read_template(kind: TemplateKind, path: &Path) -> Result<(TemplateCloud, Vec<String>), FileError> {
     let cloud::PointFile { points: read, mut notes, non_finite, .. } = cloud::read(path)?;
     if non_finite > 0 {

@@ -4,8 +4,8 @@
 
 use std::path::Path;
 
+use image::imageops::{self, FilterType};
 use image::{Rgb, RgbImage};
-use point_skeleton::conditions::reduce::pil_bilinear;
 use point_skeleton::conditions::view::canvas::Canvas;
 use point_skeleton::error::FileError;
 use point_skeleton::files::input::{IMAGE_BYTES, read_file};
@@ -89,13 +89,7 @@ fn scaled(image: &RgbImage, width: u32, height: u32) -> RgbImage {
     }
     match (image.width(), image.height()) {
         (0, _) | (_, 0) => RgbImage::from_pixel(width, height, Rgb(BACKGROUND)),
-        (from_width, from_height) => {
-            let (width, height) = (width.max(1), height.max(1));
-            let from = ImageSize { height: from_height, width: from_width };
-            let pixels = image.as_raw().as_chunks().0;
-            let scaled = pil_bilinear(pixels, from, ImageSize { height, width }).into_flattened();
-            RgbImage::from_raw(width, height, scaled).unwrap_or_default()
-        }
+        _ => imageops::resize(image, width.max(1), height.max(1), FilterType::Triangle),
     }
 }
 

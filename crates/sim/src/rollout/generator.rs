@@ -30,7 +30,8 @@ pub trait ImageGenerator {
     /// Continues after `frames` planning steps. `last` are the last of these steps: as many as the window has
     /// frames, or all if there are fewer. `saved` is the state saved with the last step.
     ///
-    /// # Errors Returns an error if the saved state is missing, damaged or of another step, and any error of
+    /// # Errors
+    /// Returns an error if the saved state is missing, damaged or of another step, and any error of
     /// [`ImageGenerator::generate`].
     fn resume(
         &mut self,

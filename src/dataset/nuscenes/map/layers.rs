@@ -103,7 +103,8 @@ pub(in super::super) struct Connectivity {
 impl Expansion {
     /// Returns the records that can be read, and counts the others.
     ///
-    /// # Errors Returns a description of a layer without readable records.
+    /// # Errors
+    /// Returns a description of a layer without readable records.
     pub(in super::super) fn layers(self, notes: &mut Counts) -> Result<Layers, String> {
         // The connectors came with a later version.
         let lane_connector = self.lane_connector.unwrap_or_default();

@@ -12,6 +12,7 @@ use glam::{DVec2, DVec3};
 use image::RgbImage;
 
 use crate::geometry::View;
+use crate::raster::DEFAULT_STEPS;
 use crate::skeleton::ingest::occlusion::OcclusionMap;
 
 /// Point to be colored.
@@ -49,8 +50,7 @@ impl ColorSample {
     pub(crate) const NONE: Self = Self { rgb: [0; 3], weight: 0.0 };
 }
 
-/// Depths (meters) and radii of the splats in the default schedule, for an image of [`SPLAT_WIDTH`] pixels.
-const SPLATS: [(f64, f64); 2] = [(15.0, 2.0), (35.0, 1.0)];
+/// Width of the images that the default schedule is for, pixels.
 const SPLAT_WIDTH: f64 = 1600.0;
 
 /// Difference from the mean color, summed over channels, at which a look counts half.
@@ -59,10 +59,10 @@ const TOLERANCE: f32 = 100.0;
 const ROUNDS: usize = 6;
 
 impl ColorView {
-    /// Returns the radii of points, in image pixels, within the depth ranges of [`SPLATS`] and beyond them.
+    /// Returns the radii of points, in image pixels, within the depth ranges of [`DEFAULT_STEPS`].
     pub(crate) fn radii(&self) -> [usize; 3] {
         let scale = f64::from(self.image.width()) / SPLAT_WIDTH;
-        [SPLATS[0].1, SPLATS[1].1, 0.0].map(|radius| ((radius + 0.5) * scale).round() as usize)
+        DEFAULT_STEPS.map(|step| ((f64::from(step.radius) + 0.5) * scale).round() as usize)
     }
 
     /// Returns whether a point at a pixel and a camera depth in meters is occluded.
@@ -74,7 +74,8 @@ impl ColorView {
     /// Returns this view's color of a point at a pixel and a camera depth in meters.
     #[inline(always)]
     pub(crate) fn look(&self, radii: [usize; 3], pixel: DVec2, depth_m: f64) -> ColorSample {
-        let range = SPLATS.iter().position(|(z, _)| depth_m <= *z).unwrap_or(SPLATS.len());
+        let [nearer @ .., _] = &DEFAULT_STEPS;
+        let range = nearer.iter().position(|step| depth_m <= f64::from(step.z_max_m)).unwrap_or(nearer.len());
         ColorSample { rgb: self.mean_color(pixel, radii[range]), weight: (1.0 / depth_m) as f32 }
     }
 

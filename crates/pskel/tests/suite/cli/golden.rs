@@ -57,5 +57,5 @@ const RECORDED: [(&str, u64); 6] = [
     ("png --out-size 16x24", 0xa80b_89d1_5bde_3243),
     ("npz", 0x5c52_50a7_4bff_f526),
     ("npz --out-size 16x24", 0x71a9_8d8f_0b65_f3a3),
-    ("rollout", 0x8020_8d13_89b2_5e86),
+    ("rollout", 0x5615_f098_aaf2_0efa),
 ];

@@ -1,7 +1,8 @@
 //! Cars, pickups and vans.
 //!
-//! # How it works [`Style`] has the proportion ranges of a shape, [`Car`] the values drawn from them; `parts`
-//! builds the triangles.
+//! # How it works
+//! [`Style`] has the proportion ranges of a shape, [`Car`] the values drawn from them; `parts` builds the
+//! triangles.
 
 mod parts;
 mod style;
