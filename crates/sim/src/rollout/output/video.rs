@@ -12,8 +12,8 @@ use crate::report::{Phase, StepRow, Video, VideoError, film};
 use crate::rollout::error::RolloutError;
 use crate::rollout::report::RolloutReport;
 
-/// Number of video images that are composed together.
-const PICTURES: usize = 16;
+/// Maximum number of video images that are composed together; three times as many are in memory.
+const MAX_PICTURES: usize = 16;
 /// Video image: its size and its RGB pixels.
 type Picture = (ImageSize, Vec<[u8; 3]>);
 
@@ -30,7 +30,7 @@ pub(in super::super) fn write(
             let folder = step_folder(output.folder, &row.name());
             film::picture(&folder, &report.layout.maps, &caption(output, row))
         };
-        for rows in report.rows.chunks(PICTURES) {
+        for rows in report.rows.chunks(rayon::current_num_threads().clamp(1, MAX_PICTURES)) {
             let pictures = rows.par_iter().map(picture).collect::<Result<Vec<_>, FileError>>()?;
             // An encoder that has failed receives nothing more, and returns its error.
             if sender.send(pictures).is_err() {
