@@ -129,36 +129,9 @@ impl<'a> Renderer<'a> {
         self.finish()
     }
 
-    /// Renders the maps of states in order. The device renders a state while the host works on the previous
-    /// one, so this is faster than repeated calls of [`Renderer::render`]. Frames in flight are discarded.
-    ///
-    /// # Errors
-    /// Items are errors of [`Renderer::render`]; the iterator ends with the first.
-    pub fn render_iter(
-        &mut self,
-        states: impl IntoIterator<Item = SceneState>,
-    ) -> impl Iterator<Item = Result<Maps, Error>> {
-        let mut states = states.into_iter();
-        let mut pipeline = Pipeline::default();
-        let mut discarded = self.discard();
-        let mut failed = false;
-        std::iter::from_fn(move || {
-            if failed {
-                return None;
-            }
-            let begin = |renderer: &mut Self| {
-                let state = states.next();
-                state.map(|state| renderer.begin(&state)).transpose()
-            };
-            let next = std::mem::replace(&mut discarded, Ok(()))
-                .and_then(|()| pipeline.next(self, begin, |renderer, ()| renderer.finish()));
-            failed = next.is_err();
-            next.map(|next| next.map(|((), maps)| maps)).transpose()
-        })
-    }
-
-    /// Renders tagged states in order like [`Renderer::render_iter`], and passes their maps to `take` until
-    /// it returns `false`.
+    /// Renders tagged states in order, and passes their maps to `take` until it returns `false`. The device
+    /// renders a state while the host works on the previous one, so this is faster than repeated calls of
+    /// [`Renderer::render`]. Frames in flight are discarded.
     ///
     /// # Errors
     /// Returns the first error of `states`, and any error of [`Renderer::render`] as [`Error::Step`].
@@ -245,11 +218,6 @@ impl<'a> Renderer<'a> {
     /// Returns the point count of all clouds.
     pub fn points(&self) -> usize {
         self.clouds.cloud_set().iter().map(|cloud| cloud.len()).sum()
-    }
-
-    /// Returns the number of states in flight.
-    pub fn in_flight(&self) -> usize {
-        self.in_flight.len()
     }
 
     /// Returns the rasterizer, for stage times and device information.
