@@ -45,6 +45,7 @@ pub mod gpu;
 pub mod hash;
 pub mod idm;
 pub mod memory;
+pub mod named;
 pub mod pipeline;
 pub mod raster;
 pub mod scene;

@@ -7,6 +7,7 @@ use super::{Point, PointFile, npy, ply};
 use crate::error::FileError;
 use crate::files::input::is_taken;
 use crate::files::{FileKind, Inputs, OutputFile};
+use crate::named;
 
 /// File format of points.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -16,6 +17,11 @@ pub enum PointFormat {
     /// PLY.
     Ply,
 }
+
+named!(PointFormat, "point format" {
+    Npy => "npy", "";
+    Ply => "ply", "";
+});
 
 impl PointFormat {
     /// Returns the format of a file by its extension; `None` for other extensions.

@@ -1,11 +1,11 @@
 //! Depth bins: depth as one of `n` classes, linear or logarithmic, computed in `f32` as the condition
 //! contract requires.
 
+use crate::{named, named_in_files};
 use serde::{Deserialize, Serialize};
 
 /// Spacing of the depth bins.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum BinScale {
     /// Bins of equal width.
     #[default]
@@ -13,6 +13,13 @@ pub enum BinScale {
     /// Finer near the camera: 85 % of the bins for the nearest 60 % of the range, logarithmic in both parts.
     Log,
 }
+
+named!(BinScale, "scale of depth bins" {
+    Linear => "linear", "Bins of equal width";
+    Log => "log",
+        "Finer near the camera: 85 % of the bins for the nearest 60 % of the range, logarithmic in both parts";
+});
+named_in_files!(BinScale);
 
 /// Depth bins; bin 0 is "empty".
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]

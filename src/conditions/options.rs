@@ -1,9 +1,10 @@
-use serde::{Deserialize, Serialize};
+use serde::Serialize;
 
 use super::layout::LayoutStyle;
 use super::{DepthBins, DepthEmbedding};
 use crate::geometry::{ImageSize, View};
 use crate::raster::{MapKind, MapSet, Occlusion, SplatSchedule};
+use crate::{named, named_in_files};
 
 impl MapSet {
     /// Adds the maps that the model tensor is encoded from, if it is requested; the map layout only if there
@@ -20,8 +21,7 @@ impl MapSet {
 }
 
 /// Reduction filter of color maps.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum ColorFilter {
     /// OpenCV's INTER_LINEAR; empty pixels count as black.
     #[default]
@@ -31,6 +31,14 @@ pub enum ColorFilter {
     /// The same without pixels that show a surface through the gaps between the points of a nearer one.
     VisibleArea,
 }
+
+named!(ColorFilter, "color filter" {
+    Bilinear => "bilinear", "OpenCV's INTER_LINEAR; empty pixels count as black";
+    ValidArea => "valid-area", "Area-weighted mean of the pixels that are not empty";
+    VisibleArea => "visible-area",
+        "The same without pixels that show a surface through the gaps between the points of a nearer one";
+});
+named_in_files!(ColorFilter);
 
 impl ColorFilter {
     /// Returns whether the filter needs to know which pixels are empty.

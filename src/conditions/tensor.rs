@@ -6,9 +6,9 @@
 //! near the highest frequency, another order differs by more than 10⁻⁵.
 
 use rayon::prelude::*;
-use serde::Serialize;
 
 use super::DepthBins;
+use crate::{named, named_in_files};
 
 /// Channel count of the point conditions: color, depth, sines, cosines.
 pub const POINT_CHANNELS: usize = 3 + 1 + 2 * FREQUENCIES;
@@ -20,8 +20,7 @@ pub const FREQUENCIES: usize = 8;
 const NO_DEPTH: f32 = -1.0;
 
 /// Choice of depth channels to fill.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "snake_case")]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum DepthEmbedding {
     /// Depth only; sines and cosines are 0.
     #[default]
@@ -32,16 +31,12 @@ pub enum DepthEmbedding {
     Both,
 }
 
-impl DepthEmbedding {
-    /// Returns the name used on the command line and in files.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Continuous => "continuous",
-            Self::Discrete => "discrete",
-            Self::Both => "both",
-        }
-    }
-}
+named!(DepthEmbedding, "depth embedding" {
+    Continuous => "continuous", "Depth only; sines and cosines are 0";
+    Discrete => "discrete", "Sines and cosines only; the depth is -1 everywhere";
+    Both => "both", "Depth, sines and cosines";
+});
+named_in_files!(DepthEmbedding);
 
 /// Network input of one camera, channels first.
 #[derive(Clone, Debug, Default, PartialEq)]

@@ -1,6 +1,7 @@
 //! Options for reading logs whose data do not say what they mean, or are incomplete.
 
 use super::MissingData;
+use crate::named;
 
 /// Options for reading a log, where its data are ambiguous or incomplete.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -25,6 +26,12 @@ pub enum RingMeaning {
     Beam,
 }
 
+named!(RingMeaning, "meaning of rings" {
+    Auto => "auto", "Merged LiDARs if the directions of their points prove it, otherwise beams";
+    Device => "device", "A LiDAR of a merged sweep; LiDAR 0 matches the boxes of moving actors";
+    Beam => "beam", "A beam of one LiDAR";
+});
+
 /// Whether recorded images have the lens distortion that the calibration states.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum ImageDistortion {
@@ -37,6 +44,12 @@ pub enum ImageDistortion {
     /// Images are rectified: the coefficients describe the lens before.
     Ignore,
 }
+
+named!(ImageDistortion, "image distortion" {
+    Usual => "usual", "Applied in nuPlan, ignored in other layouts";
+    Apply => "apply", "Images are as the lens recorded them";
+    Ignore => "ignore", "Images are rectified, although coefficients are given";
+});
 
 impl ReadOptions {
     /// Names the options of ambiguous data that are not the default, for comparisons with an earlier reading;

@@ -1,12 +1,10 @@
-use serde::Serialize;
-
 use super::maps::reduce;
 use super::{Crop, Instance, MapKind, MapSet, Plane, RasterError, SplatJob, SplatMaps, SplatSchedule};
 use crate::geometry::{ImageSize, View};
+use crate::{named, named_in_files};
 
 /// Which points occlude an actor in the class and instance maps.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "snake_case")]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Occlusion {
     /// All points in front of it.
     #[default]
@@ -14,6 +12,12 @@ pub enum Occlusion {
     /// Only points of other actors.
     Actors,
 }
+
+named!(Occlusion, "occlusion" {
+    Scene => "scene", "All points in front of it";
+    Actors => "actors", "Only points of other actors";
+});
+named_in_files!(Occlusion);
 
 /// Input of a frame: two clouds in all cameras of one instant.
 #[derive(Clone, Copy, Debug)]

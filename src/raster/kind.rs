@@ -1,12 +1,10 @@
-use std::fmt;
-use std::str::FromStr;
-
 use super::budget::{Budgeted, reserve_points};
 use super::cpu::{CpuRasterizer, CpuRasterizerDesc};
 use super::{
     CloudSet, ComputeRasterizer, ComputeRasterizerDesc, GraphicsRasterizer, RasterError, Rasterizer,
 };
 use crate::gpu::{Device, DeviceDesc, GpuError};
+use crate::named;
 
 /// Choice of rasterizer; all produce the same maps.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -23,30 +21,12 @@ pub enum RasterizerKind {
     Cpu,
 }
 
-/// An unknown rasterizer name.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("expected a rasterizer (auto, compute, graphics or cpu), found {0:?}")]
-pub struct UnknownRasterizer(pub String);
-
-impl FromStr for RasterizerKind {
-    type Err = UnknownRasterizer;
-
-    fn from_str(text: &str) -> Result<Self, UnknownRasterizer> {
-        let all = [Self::Auto, Self::Compute, Self::Graphics, Self::Cpu];
-        all.into_iter().find(|k| k.to_string() == text).ok_or_else(|| UnknownRasterizer(text.to_owned()))
-    }
-}
-
-impl fmt::Display for RasterizerKind {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(match self {
-            Self::Auto => "auto",
-            Self::Compute => "compute",
-            Self::Graphics => "graphics",
-            Self::Cpu => "cpu",
-        })
-    }
-}
+named!(RasterizerKind, "rasterizer" {
+    Auto => "auto", "The fastest one: cpu unless there is a GPU";
+    Compute => "compute", "Vulkan with 64-bit atomics";
+    Graphics => "graphics", "Vulkan's graphics pipeline";
+    Cpu => "cpu", "Threads and vectors of the processor; needs no driver";
+});
 
 /// Parameters of a rasterizer to create.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -126,19 +106,4 @@ pub fn create<'a>(
         return Err(device.unsupported(expected, found).into());
     }
     Ok(Box::new(Budgeted::new(Box::new(GraphicsRasterizer::new(device, &clouds)?), true)))
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn names_round_trip() {
-        use RasterizerKind as Kind;
-        for kind in [Kind::Auto, Kind::Compute, Kind::Graphics, Kind::Cpu] {
-            assert_eq!(kind.to_string().parse(), Ok(kind));
-        }
-        let text = "opengl".parse::<RasterizerKind>().unwrap_err().to_string();
-        assert!(text.contains("auto, compute, graphics or cpu") && text.contains("opengl"));
-    }
 }

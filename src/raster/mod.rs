@@ -47,7 +47,7 @@ pub use cpu::{CpuRasterizer, CpuRasterizerDesc};
 pub use draw::{Crop, Draw, Instance, SplatJob, draws_from_job};
 pub use frame::{FrameJob, FrameMaps, Occlusion, ViewMaps, class_of, rgb_of};
 pub use graphics::{GraphicsRasterizer, GraphicsRasterizerDesc};
-pub use kind::{RasterizerDesc, RasterizerKind, UnknownRasterizer, create};
+pub use kind::{RasterizerDesc, RasterizerKind, create};
 pub(crate) use lines::LineRows;
 pub use lines::draw_lines;
 pub use maps::map_set::{MapDescription, MapKind, MapSet, PixelType};

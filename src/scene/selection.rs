@@ -1,17 +1,17 @@
 use std::collections::BTreeMap;
 
 use glam::{DAffine3, DVec3};
-use serde::{Deserialize, Serialize};
+use serde::Serialize;
 
 use super::{ActorState, SceneState, Substitutes};
 use crate::cloud::Point;
 use crate::error::FileError;
 use crate::raster::{CloudSet, Instance};
 use crate::skeleton::{Skeleton, TemplateKind};
+use crate::{named, named_in_files};
 
 /// How a template is fitted to an actor.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum TemplateFit {
     /// Scales the template along each axis to the actor's box.
     #[default]
@@ -19,6 +19,12 @@ pub enum TemplateFit {
     /// Leaves the template at its own size.
     None,
 }
+
+named!(TemplateFit, "template fit" {
+    Box => "box", "Scales the template along each axis to the actor's box";
+    None => "none", "Leaves the template at its own size";
+});
+named_in_files!(TemplateFit);
 
 /// Options for the choice of the cloud that represents an actor.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]

@@ -1,6 +1,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::SplitOptions;
+use crate::{named, named_in_files};
 
 /// Options for building a skeleton.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -25,16 +26,22 @@ pub struct BuildOptions {
 }
 
 /// Method of coloring points.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Coloring {
     /// One color, on which the views that pass an occlusion test agree: their robust mean.
-    #[serde(alias = "best-view")]
     Agreed,
     /// One copy of the point for every camera of its frame that it projects into, occluded or not. For
     /// comparison: the behavior of existing scripts.
     EveryCamera,
 }
+
+named!(Coloring, "coloring" {
+    Agreed => "agreed", "One color, on which the images that see the point agree: the robust mean of the views that pass an \
+        occlusion test";
+    EveryCamera => "every-camera", "One copy of the point for every camera of its frame that it projects into, occluded or not. For \
+        comparison: the behavior of existing scripts";
+});
+named_in_files!(Coloring, "best-view" => Agreed);
 
 impl Default for BuildOptions {
     fn default() -> Self {

@@ -4,10 +4,10 @@ use point_skeleton::scene::{SelectionOptions, SubstituteOptions};
 use serde::Serialize;
 
 use point_skeleton::conditions::Captions;
+use point_skeleton::{named, named_in_files};
 
 /// File layout of an export.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "kebab-case")]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Layout {
     /// A folder per frame, as written by the command `render`.
     Frames,
@@ -27,6 +27,22 @@ pub enum Layout {
     #[cfg(feature = "video")]
     CosmosVideo,
 }
+
+named!(Layout, "layout" {
+    Frames => "frames", "A folder per frame, with a PNG per map";
+    PasCache => "pas-cache",
+        "Cache of the training code of Point as Skeleton: files by token of the image";
+    OpendwmPreview => "opendwm-preview", "Packages of OpenDWM's PreviewDataset";
+    Webdataset => "webdataset", "Tar shards of WebDataset";
+    #[cfg(feature = "mcap")]
+    Mcap => "mcap", "An MCAP log with Foxglove schemas per shard";
+    #[cfg(feature = "parquet")]
+    WorldScenario => "world-scenario",
+        "Annotations for Cosmos-Transfer2.5 as Parquet files; no maps";
+    #[cfg(feature = "video")]
+    CosmosVideo => "cosmos-video", "Videos for post-training Cosmos-Transfer2.5";
+});
+named_in_files!(Layout);
 
 impl Layout {
     /// Returns the maps to render for the requested ones.

@@ -38,7 +38,7 @@ mod world;
 pub use actors::idm_step;
 pub use error::SimError;
 pub use metrics::{Collision, CollisionKind, Comfort, Deviation, Metrics, OffRoad, Range};
-pub use options::{ActorPolicy, EgoPolicy, PathAnchor, Rates, SimOptions, Tracking};
+pub use options::{ActorPolicy, EgoKind, EgoPolicy, PathAnchor, Rates, SimOptions, Tracking};
 pub use path::local_path::{LocalPath, LocalPathError};
 pub use path::trajectory::{Trajectory, Waypoint};
 pub use saved::SavedState;

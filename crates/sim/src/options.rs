@@ -2,6 +2,7 @@ use point_skeleton::dataset::LogFormat;
 use serde::Serialize;
 
 use super::{LocalPath, PlannerSpec};
+use point_skeleton::{named, named_in_files};
 
 /// Options of a rollout.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -70,19 +71,73 @@ pub enum EgoPolicy {
     Caller,
 }
 
+/// [`EgoPolicy`] without its data.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[allow(missing_docs)]
+pub enum EgoKind {
+    Replay,
+    Straight,
+    RightThenBack,
+    Cosine,
+    LaneChange,
+    File,
+    External,
+    Caller,
+}
+
+named!(EgoKind, "policy of the ego" {
+    Replay => "replay", "Recorded path of the ego";
+    Straight => "straight", "Straight ahead";
+    RightThenBack => "right_then_back", "Increasingly to the right";
+    Cosine => "cosine", "1.5 m to the right along half a cosine wave";
+    LaneChange => "lane_change", "One lane to the right of the recorded path, at 10 m/s";
+    File => "file", "Along the points of --trajectory";
+    External => "external", "Plans of --planner";
+    Caller => "caller", "Plans of the program that runs the simulation";
+});
+
+impl EgoKind {
+    /// Policies of a simulation that plans on its own.
+    pub const OF_COMMAND: &[Self] = Self::ALL.split_at(7).0;
+}
+
 impl EgoPolicy {
+    /// Returns the policy of a kind; `None` for [`EgoKind::File`] without a path, and for
+    /// [`EgoKind::External`] without a planner.
+    pub fn new(
+        kind: EgoKind,
+        path: Option<(LocalPath, PathAnchor)>,
+        planner: Option<PlannerSpec>,
+    ) -> Option<Self> {
+        Some(match kind {
+            EgoKind::Replay => Self::Replay,
+            EgoKind::Straight => Self::Straight,
+            EgoKind::RightThenBack => Self::RightThenBack,
+            EgoKind::Cosine => Self::Cosine,
+            EgoKind::LaneChange => Self::LaneChange,
+            EgoKind::File => path.map(|(path, anchor)| Self::File(path, anchor))?,
+            EgoKind::External => Self::External(planner?),
+            EgoKind::Caller => Self::Caller,
+        })
+    }
+
+    /// Returns its kind.
+    pub fn kind(&self) -> EgoKind {
+        match self {
+            Self::Replay => EgoKind::Replay,
+            Self::Straight => EgoKind::Straight,
+            Self::RightThenBack => EgoKind::RightThenBack,
+            Self::Cosine => EgoKind::Cosine,
+            Self::LaneChange => EgoKind::LaneChange,
+            Self::File(..) => EgoKind::File,
+            Self::External(_) => EgoKind::External,
+            Self::Caller => EgoKind::Caller,
+        }
+    }
+
     /// Returns the name of the policy in files, like `lane_change`.
     pub fn name(&self) -> &'static str {
-        match self {
-            Self::Replay => "replay",
-            Self::Straight => "straight",
-            Self::RightThenBack => "right_then_back",
-            Self::Cosine => "cosine",
-            Self::LaneChange => "lane_change",
-            Self::File(..) => "file",
-            Self::External(_) => "external",
-            Self::Caller => "caller",
-        }
+        self.kind().name()
     }
 }
 
@@ -99,8 +154,7 @@ pub enum PathAnchor {
 }
 
 /// Tracking of a plan by the ego.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "snake_case")]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Tracking {
     /// The ego follows the plan exactly.
     #[default]
@@ -109,9 +163,14 @@ pub enum Tracking {
     Bicycle,
 }
 
+named!(Tracking, "tracking" {
+    Perfect => "perfect", "The ego follows the plan exactly";
+    Bicycle => "bicycle", "A kinematic bicycle model with limits tracks the plan";
+});
+named_in_files!(Tracking);
+
 /// Policy of the actors.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "snake_case")]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum ActorPolicy {
     /// Replays the log.
     #[default]
@@ -124,16 +183,13 @@ pub enum ActorPolicy {
     Reactive,
 }
 
-impl ActorPolicy {
-    /// Returns the name of the policy in files.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Replay => "replay",
-            Self::Idm => "idm",
-            Self::Reactive => "reactive",
-        }
-    }
-}
+named!(ActorPolicy, "policy of actors" {
+    Replay => "replay", "As in the log";
+    Idm => "idm",
+        "Vehicles and cycles near the ego follow their paths by the Intelligent Driver Model";
+    Reactive => "reactive", "Actors near the ego keep speed and curvature, and brake";
+});
+named_in_files!(ActorPolicy);
 
 /// Simulation and planning rates.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -3,6 +3,7 @@ use std::str::FromStr;
 
 use point_skeleton::geometry::ImageSize;
 use point_skeleton::hash;
+use point_skeleton::named;
 
 /// Options of a town and of its recording. Text form:
 /// `seed=7,frames=40[,hz=5,beams=32,lidar_hz=10,size=450x800,light=day]` in any order; omitted keys take
@@ -35,6 +36,12 @@ pub enum Daylight {
     /// Grey sky, soft shadows.
     Overcast,
 }
+
+named!(Daylight, "light" {
+    Day => "day", "Sun in a blue sky";
+    Dusk => "dusk", "Low sun, lamps lit";
+    Overcast => "overcast", "Grey sky, soft shadows";
+});
 
 /// Error: invalid town options.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -124,7 +131,10 @@ impl TownOptions {
                 let size: ImageSize = value.parse().map_err(|_| wrong("HxW of 1 to 16384 pixels a side"))?;
                 self.size = [size.height, size.width];
             }
-            "light" => self.daylight = Some(value.parse()?),
+            "light" => {
+                let light = value.parse::<Daylight>();
+                self.daylight = Some(light.map_err(|error| wrong(&error.expected()))?);
+            }
             _ => return Err(Self::unknown(key)),
         }
         Ok(())
@@ -165,36 +175,6 @@ impl fmt::Display for TownOptions {
             "seed={seed},frames={frames},hz={hz},beams={beams},lidar_hz={lidar_hz},size={height}x{width}"
         )?;
         daylight.map_or(Ok(()), |light| write!(f, ",light={light}"))
-    }
-}
-
-impl Daylight {
-    /// All variants.
-    pub const ALL: [Self; 3] = [Self::Day, Self::Dusk, Self::Overcast];
-
-    /// Returns the name used on the command line.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Day => "day",
-            Self::Dusk => "dusk",
-            Self::Overcast => "overcast",
-        }
-    }
-}
-
-impl fmt::Display for Daylight {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(self.name())
-    }
-}
-
-impl FromStr for Daylight {
-    type Err = TownOptionsError;
-
-    fn from_str(text: &str) -> Result<Self, TownOptionsError> {
-        let known = Self::ALL.into_iter().find(|light| light.name() == text);
-        let expected = "a light of day, dusk or overcast".to_owned();
-        known.ok_or_else(|| TownOptionsError { expected, found: text.to_owned() })
     }
 }
 

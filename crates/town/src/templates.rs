@@ -14,7 +14,7 @@ use crate::model::{BodyKind, SurfacePoint, surface, typical};
 /// thinned surface of the median body. For pickups and vans this is a pickup with a lid, an outline between
 /// both. The points are always the same. Trucks, buses and the like have none, since they vary too much.
 pub fn templates() -> Vec<TemplateCloud> {
-    TemplateKind::NAMES.par_iter().filter_map(|(_, kind)| template(*kind)).collect()
+    TemplateKind::ALL.into_par_iter().filter_map(template).collect()
 }
 
 fn template(kind: TemplateKind) -> Option<TemplateCloud> {

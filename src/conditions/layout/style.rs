@@ -1,7 +1,8 @@
-use serde::{Deserialize, Serialize};
+use serde::Serialize;
 
 use super::LINE_WIDTH_PX;
 use crate::scene::MapLayer;
+use crate::{named, named_in_files};
 
 /// How layouts are drawn.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
@@ -13,8 +14,7 @@ pub struct LayoutStyle {
 }
 
 /// Line width of layouts.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum LineWidth {
     /// 8 pixels at the camera's own size, scaled with the width at which the layout is drawn; from 1 to 16
     /// pixels.
@@ -23,15 +23,26 @@ pub enum LineWidth {
     Fixed,
 }
 
+named!(LineWidth, "line width" {
+    Scaled => "scaled", "8 pixels at the camera's own size, scaled with --size";
+    Fixed => "fixed", "8 pixels at --size";
+});
+named_in_files!(LineWidth);
+
 /// Outlines of the HD map in a layout, in drawing order.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum LayoutLayers {
     /// Lanes, drivable area, crossings.
     Lanes,
     /// Drivable area and walkways, dividers at half the width, crossings.
     Dividers,
 }
+
+named!(LayoutLayers, "map layers" {
+    Lanes => "lanes", "Lanes, drivable area, crossings";
+    Dividers => "dividers", "Drivable area and walkways (nuPlan), dividers at half the width, crossings";
+});
+named_in_files!(LayoutLayers);
 
 impl Default for LayoutStyle {
     fn default() -> Self {

@@ -1,15 +1,13 @@
 use std::path::Path;
 
-use serde::Serialize;
-
 #[cfg(feature = "exr")]
 use super::exr;
 use super::{npz, png, safetensors};
 use crate::conditions::{ConditionError, ConditionOptions, ConditionSet};
+use crate::{named, named_in_files};
 
 /// File format of the maps.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "snake_case")]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum MapFormat {
     /// One PNG per map, `CAMERA/MAP.png`; depth as 16-bit bins.
     #[default]
@@ -22,6 +20,15 @@ pub enum MapFormat {
     /// One safetensors file, `conditions.safetensors`; depth in meters.
     Safetensors,
 }
+
+named!(MapFormat, "map format" {
+    Png => "png", "A PNG per map";
+    #[cfg(feature = "exr")]
+    Exr => "exr", "An OpenEXR file per map";
+    Npz => "npz", "One NumPy archive per frame";
+    Safetensors => "safetensors", "One safetensors file per frame";
+});
+named_in_files!(MapFormat);
 
 impl MapFormat {
     /// Writes the maps of a step into its folder.

@@ -9,13 +9,11 @@
 use std::fmt;
 use std::path::{Path, PathBuf};
 
-use serde::Serialize;
-
 use crate::files::text::{printable, printable_path};
+use crate::{named, named_in_files};
 
 /// What to do about missing and damaged parts of a log.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "snake_case")]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum MissingData {
     /// Skip and count them.
     #[default]
@@ -23,6 +21,12 @@ pub enum MissingData {
     /// Fail with the first one.
     Error,
 }
+
+named!(MissingData, "policy for missing data" {
+    Skip => "skip", "Skip and count them";
+    Error => "error", "Fail with the first";
+});
+named_in_files!(MissingData);
 
 /// Missing part of a log.
 #[derive(Clone, Debug, PartialEq, Eq)]

@@ -3,13 +3,13 @@ use std::str::FromStr;
 
 use serde::{Serialize, Serializer};
 
-use crate::geometry::ParseOptionError;
 use crate::gpu::shaders::resolve_full_wgsl_both as shader;
+use crate::named::UnknownName;
+use crate::{named, named_in_files};
 
 /// Kind of map. The value is its bit in a [`MapSet`]; the kinds that a rasterizer renders have the bits of
 /// the resolve shaders.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "snake_case")]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u32)]
 pub enum MapKind {
     /// RGB of the nearest point of the color cloud.
@@ -29,6 +29,18 @@ pub enum MapKind {
     /// Network input: color and depth in 20 channels, boxes and map in 6.
     Tensor = 1 << 18,
 }
+
+named!(MapKind, "map" {
+    Color => "color", "Color of the nearest point";
+    Depth => "depth", "Depth of the nearest point";
+    Class => "class", "Coarse class of the nearest point";
+    Instance => "instance", "Actor of the nearest point";
+    Boxes => "boxes", "Outlines of the actors' boxes";
+    Map => "map", "Outlines of the log's HD map";
+    Point => "point", "Number of the nearest point";
+    Tensor => "tensor", "Network inputs";
+});
+named_in_files!(MapKind);
 
 /// Type of a map's pixels. Writers, contact sheets and Python treat all maps of a type alike.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -57,36 +69,16 @@ pub struct MapDescription {
 }
 
 impl MapKind {
-    /// All kinds, in the order of files and sheets.
-    pub const ALL: [Self; 8] = [
-        Self::Color,
-        Self::Depth,
-        Self::Class,
-        Self::Instance,
-        Self::Boxes,
-        Self::Map,
-        Self::Point,
-        Self::Tensor,
-    ];
-
     /// Returns the description of the kind.
     pub fn description(self) -> MapDescription {
-        let (name, pixels) = match self {
-            Self::Color => ("color", PixelType::Rgb),
-            Self::Depth => ("depth", PixelType::Depth),
-            Self::Class => ("class", PixelType::Class),
-            Self::Instance => ("instance", PixelType::Number),
-            Self::Boxes => ("boxes", PixelType::Rgb),
-            Self::Map => ("map", PixelType::Rgb),
-            Self::Point => ("point", PixelType::Number),
-            Self::Tensor => ("tensor", PixelType::Channels),
+        let pixels = match self {
+            Self::Color | Self::Boxes | Self::Map => PixelType::Rgb,
+            Self::Depth => PixelType::Depth,
+            Self::Class => PixelType::Class,
+            Self::Instance | Self::Point => PixelType::Number,
+            Self::Tensor => PixelType::Channels,
         };
-        MapDescription { name, pixels, is_shown: self != Self::Point }
-    }
-
-    /// Returns the name used for files, arrays and command-line values.
-    pub fn name(self) -> &'static str {
-        self.description().name
+        MapDescription { name: self.name(), pixels, is_shown: self != Self::Point }
     }
 }
 
@@ -178,17 +170,10 @@ impl Default for MapSet {
 }
 
 impl FromStr for MapSet {
-    type Err = ParseOptionError;
+    type Err = UnknownName;
 
-    fn from_str(text: &str) -> Result<Self, ParseOptionError> {
-        let kind = |name: &str| {
-            let known = MapKind::ALL.into_iter().find(|kind| kind.name() == name.trim());
-            known.ok_or_else(|| ParseOptionError {
-                expected: "maps out of color,depth,class,instance,boxes,map,point,tensor",
-                found: name.to_owned(),
-            })
-        };
-        Ok(Self::of(&text.split(',').map(kind).collect::<Result<Vec<_>, _>>()?))
+    fn from_str(text: &str) -> Result<Self, UnknownName> {
+        Ok(Self::of(&text.split(',').map(|name| name.trim().parse()).collect::<Result<Vec<_>, _>>()?))
     }
 }
 

@@ -1,13 +1,10 @@
-use std::str::FromStr;
-
 use glam::DVec3;
-use serde::{Deserialize, Serialize};
 
 use crate::dataset::{CategoryKind, Class};
+use crate::{named, named_in_files};
 
 /// Kind of a category template.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 #[allow(missing_docs)]
 pub enum TemplateKind {
     Sedan,
@@ -21,29 +18,24 @@ pub enum TemplateKind {
     Construction,
 }
 
-impl TemplateKind {
-    /// Names on the command line and in files.
-    pub const NAMES: [(&'static str, Self); 9] = [
-        ("sedan", Self::Sedan),
-        ("suv", Self::Suv),
-        ("pickup", Self::Pickup),
-        ("pedestrian", Self::Pedestrian),
-        ("bike", Self::Bike),
-        ("truck", Self::Truck),
-        ("bus", Self::Bus),
-        ("trailer", Self::Trailer),
-        ("construction", Self::Construction),
-    ];
+named!(TemplateKind, "template" {
+    Sedan => "sedan", "";
+    Suv => "suv", "";
+    Pickup => "pickup", "";
+    Pedestrian => "pedestrian", "";
+    Bike => "bike", "";
+    Truck => "truck", "";
+    Bus => "bus", "";
+    Trailer => "trailer", "";
+    Construction => "construction", "";
+});
+named_in_files!(TemplateKind);
 
+impl TemplateKind {
     /// Returns the kind of template for an actor, by category and box size (length, width, height, meters).
     /// `None` for categories without templates (cones, barriers ...).
     pub fn of_actor(category: &str, size_m: DVec3) -> Option<Self> {
         Family::of(category).map(|family| family.kind(size_m))
-    }
-
-    /// Returns the name on the command line and in files.
-    pub fn name(self) -> &'static str {
-        Self::NAMES.iter().find(|(_, kind)| *kind == self).map_or("", |(name, _)| name)
     }
 
     /// Returns whether the template replaces assets of this kind with few points. Other kinds (trucks, buses
@@ -110,18 +102,6 @@ impl Family {
     }
 }
 
-impl FromStr for TemplateKind {
-    type Err = String;
-
-    fn from_str(text: &str) -> Result<Self, String> {
-        let names = || Self::NAMES.map(|(name, _)| name).join(", ");
-        let found = Self::NAMES.iter().find(|(name, _)| *name == text);
-        found
-            .map(|(_, kind)| *kind)
-            .ok_or_else(|| format!("expected a template of {}, found {text:?}", names()))
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -149,12 +129,5 @@ mod tests {
         assert_eq!(kind("vehicle", [6.9, 2.2, 2.8]), Some(TemplateKind::Pickup));
         assert_eq!(kind("vehicle.car", [12.0, 3.0, 3.3]), Some(TemplateKind::Pickup));
         assert_eq!(kind("vehicle.truck", [12.0, 3.0, 3.3]), Some(TemplateKind::Truck));
-    }
-
-    #[test]
-    fn names_round_trip() {
-        for (name, kind) in TemplateKind::NAMES {
-            assert_eq!((kind.name(), name.parse()), (name, Ok(kind)));
-        }
     }
 }

@@ -3,6 +3,7 @@
 use pskel_generate::{DroppedConditions, GenerateOptions, Guidance, SamplerOptions, Strategy};
 
 use super::options::{AblateOptions, Choice, Networks, Origin};
+use point_skeleton::named;
 
 /// Variant of the generator.
 #[derive(Clone, Debug, PartialEq)]
@@ -42,17 +43,16 @@ pub enum Table {
     Seeds,
 }
 
-impl Table {
-    /// All tables, in the order of the report.
-    pub const ALL: [Self; 6] = [
-        Self::Strategies,
-        Self::Forecasts,
-        Self::Conditions,
-        Self::InferSteps,
-        Self::Augmentation,
-        Self::Seeds,
-    ];
+named!(Table, "table" {
+    Strategies => "strategies", "Generation strategies";
+    Forecasts => "forecasts", "Forecasts that come true, against forecasts of a standstill";
+    Conditions => "conditions", "Color and depth of the points as conditions";
+    InferSteps => "infer_steps", "The same and twice the number of inference steps";
+    Augmentation => "augmentation", "Asset augmentation in training; requires --plain-weights";
+    Seeds => "seeds", "Training seeds; requires --other-seed";
+});
 
+impl Table {
     /// Returns its title.
     pub fn title(self) -> &'static str {
         match self {
@@ -62,18 +62,6 @@ impl Table {
             Self::InferSteps => "Inference steps",
             Self::Augmentation => "Augmentation of assets in training",
             Self::Seeds => "Training with other seeds",
-        }
-    }
-
-    /// Returns the stem of its file name.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Strategies => "strategies",
-            Self::Forecasts => "forecasts",
-            Self::Conditions => "conditions",
-            Self::InferSteps => "infer_steps",
-            Self::Augmentation => "augmentation",
-            Self::Seeds => "seeds",
         }
     }
 }

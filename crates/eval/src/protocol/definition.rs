@@ -2,6 +2,7 @@ use pskel_sim::{EgoPolicy, Rates};
 
 use super::nuscenes_val::SCENES;
 use super::simgen::SIMGEN;
+use point_skeleton::named;
 
 /// An evaluation protocol of the paper *Point as Skeleton*. Source: the configurations of its reference
 /// implementation.
@@ -14,6 +15,13 @@ pub enum Protocol {
     /// Lane changes in any logs.
     LaneChange,
 }
+
+named!(Protocol, "protocol" {
+    NuplanSimgen => "nuplan-simgen", "Ten nuPlan logs: clips of 20 frames at 5 Hz, and three policies that leave the log";
+    NuscenesVal => "nuscenes-val",
+        "150 scenes of nuScenes: 24 frames at 6 Hz, 16 at 2 Hz with a copy of the data set, 100 at 6 Hz";
+    LaneChange => "lane-change", "Any logs: 10 s that follow the log, and with a lane change";
+});
 
 /// Part of a protocol: clips with the same policy, rates and length.
 #[derive(Clone, Debug, PartialEq)]
@@ -65,18 +73,6 @@ const SIX_HZ: PartRates = PartRates::Fixed(Rates { sim_hz: 12.0, plan_hz: 6.0 })
 const REPLAY: &str = "replay";
 
 impl Protocol {
-    /// All protocols.
-    pub const ALL: [Self; 3] = [Self::NuplanSimgen, Self::NuscenesVal, Self::LaneChange];
-
-    /// Returns the name on the command line.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::NuplanSimgen => "nuplan-simgen",
-            Self::NuscenesVal => "nuscenes-val",
-            Self::LaneChange => "lane-change",
-        }
-    }
-
     /// Returns the names of its logs; none if it is defined for any logs.
     pub fn logs(self) -> Vec<String> {
         match self {

@@ -1,5 +1,6 @@
 //! Condition of a frame, and the parts of it that can be dropped.
 
+use point_skeleton::named;
 use serde::{Deserialize, Serialize};
 
 /// Condition of a frame, in the form that a network takes.
@@ -19,6 +20,30 @@ pub struct DroppedConditions {
     pub color: bool,
     /// Depth of the points.
     pub depth: bool,
+}
+
+/// Choice of the conditions that guidance drops.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum GuidedConditions {
+    /// Layout and action: [`DroppedConditions::GUIDED`].
+    #[default]
+    Layout,
+    /// All conditions.
+    All,
+}
+
+named!(GuidedConditions, "conditions of the guidance" {
+    Layout => "layout", "Drops layout, text and action";
+    All => "all", "Drops all conditions";
+});
+
+impl From<GuidedConditions> for DroppedConditions {
+    fn from(guided: GuidedConditions) -> Self {
+        match guided {
+            GuidedConditions::Layout => Self::GUIDED,
+            GuidedConditions::All => Self::ALL,
+        }
+    }
 }
 
 impl DroppedConditions {

@@ -1,5 +1,7 @@
 use serde::{Deserialize, Serialize};
 
+use point_skeleton::named::Named;
+
 use super::schedule::{Ddim, FlowMatch, Prediction, TRAIN_STEPS};
 use crate::Latent;
 
@@ -45,6 +47,34 @@ impl Default for SamplerOptions {
     /// Flow matching with the shift of Stable Diffusion 3.5's scheduler.
     fn default() -> Self {
         Self::FlowMatch { shift: 3.0 }
+    }
+}
+
+impl Named for SamplerOptions {
+    const KIND: &'static str = "sampler";
+    const ALL: &'static [Self] = &[
+        Self::FlowMatch { shift: 3.0 },
+        Self::Ddim { prediction: Prediction::Epsilon },
+        Self::Ddim { prediction: Prediction::Sample },
+        Self::Ddim { prediction: Prediction::Velocity },
+    ];
+
+    fn name(self) -> &'static str {
+        match self {
+            Self::FlowMatch { .. } => "flow_match",
+            Self::Ddim { prediction: Prediction::Epsilon } => "ddim_epsilon",
+            Self::Ddim { prediction: Prediction::Sample } => "ddim_sample",
+            Self::Ddim { prediction: Prediction::Velocity } => "ddim_velocity",
+        }
+    }
+
+    fn help(self) -> &'static str {
+        match self {
+            Self::FlowMatch { .. } => "Velocities of flow matching, shift 3",
+            Self::Ddim { prediction: Prediction::Epsilon } => "Noise, with DDIM",
+            Self::Ddim { prediction: Prediction::Sample } => "Clean frames, with DDIM",
+            Self::Ddim { prediction: Prediction::Velocity } => "Velocities, with DDIM",
+        }
     }
 }
 

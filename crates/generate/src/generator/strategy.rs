@@ -1,3 +1,4 @@
+use point_skeleton::named;
 use serde::{Deserialize, Serialize};
 
 /// How the window moves, and which frames a network sees beside the current one.
@@ -26,14 +27,20 @@ pub enum Strategy {
     },
 }
 
+named!(Strategy, "strategy" {
+    ResetAndRoll => "reset_and_roll", "Rolls on to the forecasts, then discards all frames influenced by them";
+    Rolling => "rolling", "One roll per step; frames retain the influence of old forecasts";
+    Causal { history_noise: 0 } => "causal", "Clean previous frames, no forecasts";
+    NonCausal { forecasts: 1 } => "non_causal", "Clean previous frames, and --ahead forecasts";
+});
+
 impl Strategy {
-    /// Returns the name on the command line.
-    pub fn name(self) -> &'static str {
+    /// Returns the strategy with other data, where it has some.
+    pub fn with(self, noise: Option<usize>, ahead: Option<usize>) -> Self {
         match self {
-            Self::ResetAndRoll => "reset_and_roll",
-            Self::Rolling => "rolling",
-            Self::Causal { .. } => "causal",
-            Self::NonCausal { .. } => "non_causal",
+            Self::Causal { history_noise } => Self::Causal { history_noise: noise.unwrap_or(history_noise) },
+            Self::NonCausal { forecasts } => Self::NonCausal { forecasts: ahead.unwrap_or(forecasts) },
+            other => other,
         }
     }
 }

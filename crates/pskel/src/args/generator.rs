@@ -2,18 +2,17 @@
 
 use std::path::{Path, PathBuf};
 
-use clap::{Args, ValueEnum};
+use clap::Args;
 use point_skeleton::conditions::{Captions, FrameCaptions};
 use point_skeleton::dataset::Recording;
 use point_skeleton::error::FileError;
 use point_skeleton::files::json;
 use point_skeleton::files::text::printable;
-use pskel_generate::{
-    DenoiserRig, DroppedConditions, Guidance, Prediction, Preset, Recipe, SamplerOptions, Strategy,
-};
+use pskel_generate::{DenoiserRig, Guidance, GuidedConditions, Preset, Recipe, SamplerOptions, Strategy};
 use pskel_network::{GeneratorSettings, NetworkName, OpenedNetwork};
 use pskel_sim::peer::MAX_TIMEOUT_S;
 
+use super::names::names;
 use super::numbers::finite;
 use crate::WrongUsage;
 
@@ -21,8 +20,8 @@ use crate::WrongUsage;
 #[derive(Clone, Debug, Args)]
 pub(crate) struct GeneratorArgs {
     /// Strategy for advancing the window [default: reset_and_roll]
-    #[arg(long, value_enum, value_name = "STRATEGY")]
-    strategy: Option<StrategyName>,
+    #[arg(long, value_name = "STRATEGY", value_parser = names::<Strategy>())]
+    strategy: Option<Strategy>,
     /// Frames in the window, L; the first L - 1 frames are ground-truth images [default: the window the
     /// network was trained with; 4 for a process]
     #[arg(long, value_name = "L")]
@@ -44,14 +43,14 @@ pub(crate) struct GeneratorArgs {
     guidance: Option<f32>,
     /// Conditions dropped in the second evaluation of the guidance: layout, text and action, or also color
     /// and depth [default: layout]
-    #[arg(long, value_enum)]
-    guide: Option<Guide>,
+    #[arg(long, value_parser = names::<GuidedConditions>())]
+    guide: Option<GuidedConditions>,
     /// Seed of the noise [default: 0]
     #[arg(long, value_name = "SEED")]
     noise_seed: Option<u64>,
     /// With process:.., the kind of its predictions [default: flow_match]
-    #[arg(long, value_enum)]
-    sampler: Option<SamplerName>,
+    #[arg(long, value_parser = names::<SamplerOptions>())]
+    sampler: Option<SamplerOptions>,
     /// With process:.. and fill, the recipe of the conditions as JSON, in which missing fields have their
     /// defaults; or pas-nuscenes or pas-nuplan, that of a network of the paper with the defaults of its
     /// window, steps and guidance
@@ -66,47 +65,12 @@ pub(crate) struct GeneratorArgs {
     generator_timeout: Option<f64>,
 }
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-#[value(rename_all = "snake_case")]
-enum StrategyName {
-    /// Rolls on to the forecasts, then discards all frames influenced by them.
-    ResetAndRoll,
-    /// One roll per step; frames retain the influence of old forecasts.
-    Rolling,
-    /// Clean previous frames, no forecasts.
-    Causal,
-    /// Clean previous frames, and --ahead forecasts.
-    NonCausal,
-}
-
-#[derive(Clone, Copy, Debug, ValueEnum)]
-#[value(rename_all = "snake_case")]
-enum Guide {
-    /// Drops layout, text and action.
-    Layout,
-    /// Drops all conditions.
-    All,
-}
-
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-#[value(rename_all = "snake_case")]
-enum SamplerName {
-    /// Velocities of flow matching, shift 3.
-    FlowMatch,
-    /// Noise, with DDIM.
-    DdimEpsilon,
-    /// Clean frames, with DDIM.
-    DdimSample,
-    /// Velocities, with DDIM.
-    DdimVelocity,
-}
-
 impl GeneratorArgs {
     /// Rejects options that have no effect.
     pub(crate) fn check(&self, name: Option<&NetworkName>) -> Result<(), WrongUsage> {
         let Self { strategy, clean, guidance, .. } = self;
-        let strategy = strategy.unwrap_or(StrategyName::ResetAndRoll);
-        let rolls = matches!(strategy, StrategyName::ResetAndRoll | StrategyName::Rolling);
+        let strategy = strategy.unwrap_or_default();
+        let rolls = matches!(strategy, Strategy::ResetAndRoll | Strategy::Rolling);
         let is_process = matches!(name, Some(NetworkName::Process(_)));
         let takes_recipe = is_process || matches!(name, Some(NetworkName::Fill));
         let preset = self.preset().map(|preset| preset.guidance);
@@ -121,11 +85,16 @@ impl GeneratorArgs {
             ("--noise-seed", self.noise_seed.is_some(), true, network),
             ("--captions", self.captions.is_some(), true, network),
             ("--clean", clean.is_some(), rolls, "--strategy reset_and_roll or rolling"),
-            ("--ahead", self.ahead.is_some(), strategy == StrategyName::NonCausal, "--strategy non_causal"),
+            (
+                "--ahead",
+                self.ahead.is_some(),
+                matches!(strategy, Strategy::NonCausal { .. }),
+                "--strategy non_causal",
+            ),
             (
                 "--history-noise",
                 self.history_noise.is_some(),
-                strategy == StrategyName::Causal,
+                matches!(strategy, Strategy::Causal { .. }),
                 "--strategy causal",
             ),
             ("--guide", self.guide.is_some(), guided, "--guidance other than 1"),
@@ -182,27 +151,13 @@ impl GeneratorArgs {
             (None, Some(path)) => read_recipe(path)?,
             (None, None) => defaults.recipe,
         };
-        let dropped = match self.guide {
-            None | Some(Guide::Layout) => DroppedConditions::GUIDED,
-            Some(Guide::All) => DroppedConditions::ALL,
-        };
-        let ddim = |prediction| SamplerOptions::Ddim { prediction };
+        let dropped = self.guide.unwrap_or_default().into();
         Ok(GeneratorSettings {
             window: self.window.or(preset.as_ref().map(|preset| preset.window)),
             steps: self.infer_steps.or(preset.as_ref().map(|preset| preset.steps)),
             clean: self.clean.unwrap_or(defaults.clean),
-            strategy: match self.strategy.unwrap_or(StrategyName::ResetAndRoll) {
-                StrategyName::ResetAndRoll => Strategy::ResetAndRoll,
-                StrategyName::Rolling => Strategy::Rolling,
-                StrategyName::Causal => Strategy::Causal { history_noise: self.history_noise.unwrap_or(0) },
-                StrategyName::NonCausal => Strategy::NonCausal { forecasts: self.ahead.unwrap_or(1) },
-            },
-            sampler: match self.sampler.unwrap_or(SamplerName::FlowMatch) {
-                SamplerName::FlowMatch => SamplerOptions::default(),
-                SamplerName::DdimEpsilon => ddim(Prediction::Epsilon),
-                SamplerName::DdimSample => ddim(Prediction::Sample),
-                SamplerName::DdimVelocity => ddim(Prediction::Velocity),
-            },
+            strategy: self.strategy.unwrap_or_default().with(self.history_noise, self.ahead),
+            sampler: self.sampler.unwrap_or_default(),
             guidance: Guidance { scale: self.guidance.unwrap_or(default_guidance), dropped },
             noise_seed: self.noise_seed.unwrap_or(defaults.noise_seed),
             recipe,

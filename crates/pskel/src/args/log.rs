@@ -10,7 +10,7 @@ use point_skeleton::dataset::{
 use point_skeleton::files::Inputs;
 use point_skeleton::files::resolved_output;
 
-use super::choices;
+use super::names::names;
 use crate::{logs, warn};
 
 /// Locations of the parts of a data set.
@@ -28,13 +28,13 @@ pub(crate) struct LogRoots {
     allow_outside: bool,
     /// Missing and damaged parts of the log (files, records, boxes without a size): skip and count them, or
     /// fail with the first
-    #[arg(long, value_parser = choices::MISSING_DATA, default_value = "skip")]
+    #[arg(long, value_parser = names::<MissingData>(), default_value = "skip")]
     missing: MissingData,
     /// What the ring numbers of sweeps are. Points of other LiDARs than number 0 on moving actors are dropped
-    #[arg(long, value_name = "MEANING", value_parser = choices::RING_MEANING, default_value = "auto")]
+    #[arg(long, value_name = "MEANING", value_parser = names::<RingMeaning>(), default_value = "auto")]
     ring_is: RingMeaning,
     /// Whether recorded images have the lens distortion that the calibration states
-    #[arg(long, value_name = "HOW", value_parser = choices::IMAGE_DISTORTION, default_value = "usual")]
+    #[arg(long, value_name = "HOW", value_parser = names::<ImageDistortion>(), default_value = "usual")]
     image_distortion: ImageDistortion,
 }
 

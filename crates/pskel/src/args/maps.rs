@@ -6,7 +6,8 @@ use point_skeleton::conditions::{
 use point_skeleton::raster::SplatSchedule;
 use point_skeleton::scene::{SelectionOptions, TemplateFit};
 
-use super::{choices, numbers};
+use super::names::names;
+use super::numbers;
 use crate::WrongUsage;
 
 /// Options of condition maps, shared by all commands that render a log.
@@ -18,7 +19,7 @@ pub(crate) struct MapArgs {
     #[arg(long, value_name = "MAP,..")]
     pub(crate) maps: Option<MapSet>,
     /// Files: png (depth as 16-bit bins); exr, npz or safetensors (depth in meters, -300 where empty)
-    #[arg(long, value_parser = choices::MAP_FORMAT, default_value = "png")]
+    #[arg(long, value_parser = names::<MapFormat>(), default_value = "png")]
     pub(crate) format: MapFormat,
     /// Render at this size; scales the intrinsics [default: the size of the cameras]
     #[arg(long, value_name = "HxW")]
@@ -35,28 +36,28 @@ pub(crate) struct MapArgs {
     #[arg(allow_negative_numbers = true)]
     pub(crate) radius: f64,
     /// Scale of the depth bins in depth.png, the contact sheet and the tensor
-    #[arg(long, value_parser = choices::BIN_SCALE, default_value = "linear")]
+    #[arg(long, value_parser = names::<BinScale>(), default_value = "linear")]
     pub(crate) depth_bins: BinScale,
     /// Depth in the tensor: metric values (continuous), their sines and cosines (discrete), or both
-    #[arg(long, value_parser = choices::DEPTH_EMBEDDING, default_value = "continuous")]
+    #[arg(long, value_parser = names::<DepthEmbedding>(), default_value = "continuous")]
     pub(crate) depth_embedding: DepthEmbedding,
     /// End of the last depth bin, meters [default: --radius]
     #[arg(long, value_name = "M", value_parser = numbers::distance_m, allow_negative_numbers = true)]
     pub(crate) far: Option<f64>,
     /// Occluders of actors in class and instance maps: the whole scene, or only other actors
-    #[arg(long, value_parser = choices::OCCLUSION, default_value = "scene")]
+    #[arg(long, value_parser = names::<Occlusion>(), default_value = "scene")]
     pub(crate) occlusion: Occlusion,
     /// Scale templates to the actor's box, or retain their size
-    #[arg(long, value_parser = choices::TEMPLATE_FIT, default_value = "box")]
+    #[arg(long, value_parser = names::<TemplateFit>(), default_value = "box")]
     pub(crate) template_fit: TemplateFit,
     /// Filter for reducing color: OpenCV's INTER_LINEAR, or the mean of the pixels that are not empty
-    #[arg(long, value_parser = choices::COLOR_FILTER, default_value = "bilinear")]
+    #[arg(long, value_parser = names::<ColorFilter>(), default_value = "bilinear")]
     pub(crate) color_filter: ColorFilter,
     /// Width of the lines in boxes and map
-    #[arg(long, value_parser = choices::LINE_WIDTH, default_value = "scaled")]
+    #[arg(long, value_parser = names::<LineWidth>(), default_value = "scaled")]
     pub(crate) line_width: LineWidth,
     /// Outlines in map
-    #[arg(long, value_parser = choices::MAP_LAYERS, default_value = "lanes")]
+    #[arg(long, value_parser = names::<LayoutLayers>(), default_value = "lanes")]
     pub(crate) map_layers: LayoutLayers,
     /// Actors with more points than this are rendered with their own points in depth, class and instance
     /// maps; others with the template of their category, if available

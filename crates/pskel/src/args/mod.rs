@@ -1,10 +1,10 @@
 //! Groups of options that several subcommands share.
 
-pub(super) mod choices;
 #[cfg(feature = "network")]
 pub(super) mod generator;
 pub(super) mod log;
 pub(super) mod maps;
+pub(super) mod names;
 pub(super) mod numbers;
 pub(super) mod outputs;
 pub(super) mod rasterizer;

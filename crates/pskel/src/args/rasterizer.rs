@@ -1,15 +1,14 @@
 use clap::Args;
 use point_skeleton::raster::{self, CloudSet, Rasterizer, RasterizerDesc, RasterizerKind};
 
+use super::names::names;
 use crate::WrongUsage;
 
 /// Rasterizer options, shared by all commands that render.
 #[derive(Clone, Debug, Args)]
 pub(crate) struct RasterizerArgs {
-    /// Rasterizer: compute (Vulkan with 64-bit atomics), graphics (Vulkan graphics pipeline), cpu (threads
-    /// and vectors of the processor, needs no driver) or auto (cpu unless there is a GPU); all output the
-    /// same maps
-    #[arg(long, default_value_t, value_name = "KIND")]
+    /// Rasterizer; all output the same maps
+    #[arg(long, default_value_t, value_name = "KIND", value_parser = names::<RasterizerKind>())]
     pub(crate) rasterizer: RasterizerKind,
     /// Vulkan device: index, UUID (GPU-..), PCI address (0000:65:00.0) or part of the name [default:
     /// $PSKEL_DEVICE, else the fastest]

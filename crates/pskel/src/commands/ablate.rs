@@ -10,20 +10,11 @@ use point_skeleton::files::{Inputs, check_place};
 use pskel_eval::ablate::{AblateError, AblateOptions, Ablation, Networks, RunResult, Table};
 use pskel_network::Network;
 
-use crate::args::choices::Choices;
 use crate::args::log::{self, LogRoots};
+use crate::args::names::names;
 use crate::args::rasterizer::RasterizerArgs;
 use crate::progress::Progress;
 use crate::{WrongUsage, logs, say};
-
-const TABLE: Choices<Table> = Choices(&[
-    ("strategies", Table::Strategies, "Generation strategies"),
-    ("forecasts", Table::Forecasts, "Forecasts that come true, against forecasts of a standstill"),
-    ("conditions", Table::Conditions, "Color and depth of the points as conditions"),
-    ("infer_steps", Table::InferSteps, "The same and twice the number of inference steps"),
-    ("augmentation", Table::Augmentation, "Asset augmentation in training; requires --plain-weights"),
-    ("seeds", Table::Seeds, "Training seeds; requires --other-seed"),
-]);
 
 /// Compare strategies, conditions and trainings of the generator in synthetic towns and recorded logs
 ///
@@ -50,7 +41,7 @@ pub(crate) struct AblateArgs {
     #[arg(long = "other-seed", value_name = "FILE")]
     other_seeds: Vec<PathBuf>,
     /// Tables to compute [default: all]
-    #[arg(long, value_name = "TABLE,..", value_delimiter = ',', value_parser = TABLE)]
+    #[arg(long, value_name = "TABLE,..", value_delimiter = ',', value_parser = names::<Table>())]
     tables: Vec<Table>,
     /// Folder to write
     #[arg(long, value_name = "DIR", value_parser = log::output_folder())]

@@ -9,14 +9,15 @@ use point_skeleton::cloud::Point;
 use point_skeleton::dataset::{LogLocator, expand};
 use point_skeleton::files::Inputs;
 use point_skeleton::files::text::printable;
+use point_skeleton::named::UnknownName;
 use point_skeleton::skeleton::{
     self, Asset, BuildInput, BuildOptions, BuildRun, Coloring, Manifest, SkeletonWriter, TemplateCloud,
     TemplateKind, TemplateLibrary,
 };
 
 use super::{info, templates};
-use crate::args::choices;
 use crate::args::log::{self, LogRoots};
+use crate::args::names::names;
 use crate::args::numbers::{self, FrameRange};
 use crate::logs;
 use crate::progress::StageProgress;
@@ -65,7 +66,7 @@ pub(crate) struct BuildArgs {
     #[arg(long, value_name = "M", value_parser = numbers::margin_m, allow_negative_numbers = true)]
     box_margin: Option<f64>,
     /// How points are colored; every-camera reproduces existing scripts, for comparison
-    #[arg(long, value_parser = choices::COLORING, default_value = "agreed")]
+    #[arg(long, value_parser = names::<Coloring>(), default_value = "agreed")]
     coloring: Coloring,
     /// Template for actors of a kind (sedan, suv, pickup, pedestrian, bike, truck, bus, trailer,
     /// construction): points with x forward and z up; at most once per kind
@@ -91,7 +92,8 @@ impl FromStr for TemplateFile {
 
     fn from_str(text: &str) -> Result<Self, String> {
         let (kind, path) = text.split_once('=').ok_or("expected KIND=FILE")?;
-        Ok(Self { kind: kind.parse()?, path: path.into() })
+        let kind = kind.parse().map_err(|error: UnknownName| error.to_string())?;
+        Ok(Self { kind, path: path.into() })
     }
 }
 

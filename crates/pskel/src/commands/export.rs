@@ -14,9 +14,9 @@ use pskel_export::{
     SampleTimes, WorkList, export, write_index,
 };
 
-use crate::args::choices;
 use crate::args::log::{self, LogRoots};
 use crate::args::maps::MapArgs;
+use crate::args::names::names;
 use crate::args::numbers::{self, FrameRange};
 use crate::args::rasterizer::RasterizerArgs;
 use crate::args::substitutes::SubstituteArgs;
@@ -40,7 +40,7 @@ pub(crate) struct ExportArgs {
     #[command(flatten)]
     roots: LogRoots,
     /// Layout of the files
-    #[arg(long, value_parser = choices::LAYOUT)]
+    #[arg(long, value_parser = names::<Layout>())]
     layout: Layout,
     /// Folder to write
     #[arg(long, value_name = "DIR", value_parser = log::output_folder())]

@@ -10,8 +10,9 @@ use point_skeleton::scene::EgoOffset;
 use pskel_eval::protocol::ClipClock;
 use pskel_generate::{CopiedLog, DatasetCopy};
 use pskel_network::NetworkName;
+use pskel_sim::EgoKind;
 
-use super::simulate::{self, ClipArgs, EgoName, GenerationArgs, SimulateArgs};
+use super::simulate::{self, ClipArgs, GenerationArgs, SimulateArgs};
 use crate::args::generator::GeneratorArgs;
 use crate::args::log::{self, LogRoots};
 use crate::args::maps::MapArgs;
@@ -117,7 +118,7 @@ impl GenerateArgs {
             generation: GenerationArgs { generator: Some(self.generator), options: self.generating },
             steps: self.steps,
             clock: self.every.map(|every| ClipClock::Frames(usize::from(every))),
-            ego: EgoName::Replay,
+            ego: EgoKind::Replay,
             least_warmup: false,
             start: self.start,
             ego_offset: self.ego_offset,

@@ -8,7 +8,7 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use anyhow::Context;
-use clap::{Args, ValueEnum};
+use clap::Args;
 use point_skeleton::Log;
 use point_skeleton::conditions::write::meta::PromptParts;
 use point_skeleton::conditions::{Captions, ConditionOptions, MapFormat};
@@ -27,29 +27,15 @@ use pskel_sim::{Rates, Scenario};
 use serde::Serialize;
 use serde_json::Value;
 
-use super::simulate::{self, ClipArgs, EgoName, GenerationArgs, SimulateArgs};
-use crate::args::choices::Choices;
+use super::simulate::{self, ClipArgs, GenerationArgs, SimulateArgs};
 use crate::args::generator::GeneratorArgs;
 use crate::args::log::{self, LogRoots};
 use crate::args::maps::MapArgs;
+use crate::args::names::names;
 use crate::args::rasterizer::RasterizerArgs;
 use crate::args::substitutes::SubstituteArgs;
 use crate::progress::Progress;
 use crate::{WrongUsage, logs, say, tell};
-
-const PROTOCOL: Choices<Protocol> = Choices(&[
-    (
-        "nuplan-simgen",
-        Protocol::NuplanSimgen,
-        "Ten nuPlan logs: clips of 20 frames at 5 Hz, and three policies that leave the log",
-    ),
-    (
-        "nuscenes-val",
-        Protocol::NuscenesVal,
-        "150 scenes of nuScenes: 24 frames at 6 Hz, 16 at 2 Hz with a copy of the data set, 100 at 6 Hz",
-    ),
-    ("lane-change", Protocol::LaneChange, "Any logs: 10 s that follow the log, and with a lane change"),
-]);
 
 /// Run an evaluation protocol: generate its clips and score them
 ///
@@ -60,7 +46,7 @@ const PROTOCOL: Choices<Protocol> = Choices(&[
 #[derive(Debug, Args)]
 pub(crate) struct ProtocolArgs {
     /// Protocol
-    #[arg(value_parser = PROTOCOL)]
+    #[arg(value_parser = names::<Protocol>())]
     protocol: Protocol,
     /// Recordings: FORMAT:PATH[@VERSION][#SCENE]; of sets, like nuscenes:ROOT@v1.0-trainval#* or
     /// nuplan-simgen:FOLDER, those of the protocol
@@ -322,7 +308,6 @@ impl Run<'_> {
         let args = self.args;
         let generation =
             GenerationArgs { generator: Some(args.generator.clone()), options: args.generating.clone() };
-        let ego = EgoName::from_str(part.ego.name(), false).map_err(anyhow::Error::msg)?;
         let summary = simulate::rollout(SimulateArgs::of_clip(ClipArgs {
             log: locator.clone(),
             roots: args.roots.clone(),
@@ -331,7 +316,7 @@ impl Run<'_> {
             generation,
             steps: clip.steps(),
             clock: Some(clip.clock),
-            ego,
+            ego: part.ego.kind(),
             least_warmup: true,
             start: Some(clip.start_us),
             ego_offset: None,

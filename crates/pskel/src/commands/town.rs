@@ -10,6 +10,7 @@ use point_skeleton::dataset::{LogReader, Recording};
 use point_skeleton::files::{Inputs, WholeFolder};
 use pskel_town::{Daylight, Town, TownOptions, WriteError};
 
+use crate::args::names::names;
 use crate::args::{log, numbers};
 use crate::progress::Progress;
 use crate::{WrongUsage, say};
@@ -44,8 +45,8 @@ pub(crate) struct TownArgs {
     /// Size of the images
     #[arg(long, value_name = "HxW", default_value_t = default_size())]
     size: ImageSize,
-    /// Daylight: day, dusk or overcast [default: chosen by the seed]
-    #[arg(long, value_name = "LIGHT")]
+    /// Daylight [default: chosen by the seed]
+    #[arg(long, value_name = "LIGHT", value_parser = names::<Daylight>())]
     light: Option<Daylight>,
     /// Also write the ground truth of every image: truth/FRAME/CAM/depth.exr (meters), class.png and
     /// instance.png, with the numbers of that frame's maps

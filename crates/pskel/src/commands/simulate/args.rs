@@ -15,11 +15,14 @@ use pskel_eval::protocol::ClipClock;
 #[cfg(feature = "mcap")]
 use pskel_sim::rollout::MCAP;
 use pskel_sim::rollout::{Profile, ResumeAfter};
-use pskel_sim::{ActorPolicy, EgoPolicy, LocalPath, PathAnchor, PlannerSpec, Scenario, SimOptions, Tracking};
+use pskel_sim::{
+    ActorPolicy, EgoKind, EgoPolicy, LocalPath, PathAnchor, PlannerAddress, PlannerSpec, Scenario,
+    SimOptions, Tracking,
+};
 
 use super::generation::GenerationArgs;
 use super::inputs::Inputs;
-use super::policies::{ActorName, EgoName, PolicyArgs, TrackingName};
+use super::policies::PolicyArgs;
 use crate::args::log::{self, LogRoots};
 use crate::args::maps::MapArgs;
 use crate::args::numbers;
@@ -137,7 +140,7 @@ pub(crate) struct ClipArgs {
     pub(crate) steps: usize,
     /// `None` for the frames of the log, at the default stride.
     pub(crate) clock: Option<ClipClock>,
-    pub(crate) ego: EgoName,
+    pub(crate) ego: EgoKind,
     pub(crate) least_warmup: bool,
     pub(crate) start: Option<i64>,
     pub(crate) ego_offset: Option<EgoOffset>,
@@ -168,8 +171,8 @@ impl SimulateArgs {
             reanchor: false,
             planner: None,
             planner_timeout: 10.0,
-            tracking: TrackingName::Perfect,
-            actors: ActorName::Replay,
+            tracking: Tracking::Perfect,
+            actors: ActorPolicy::Replay,
             sim_hz: rates.map(|rates| rates.sim_hz),
             plan_hz: rates.map(|rates| rates.plan_hz),
             warmup: None,
@@ -209,9 +212,9 @@ impl SimulateArgs {
     pub(super) fn check(&self) -> Result<(), WrongUsage> {
         let PolicyArgs { ego, trajectory, reanchor, planner, .. } = &self.policies;
         let unused = [
-            ("--trajectory", trajectory.is_some() && *ego != EgoName::File, "file"),
-            ("--reanchor", *reanchor && *ego != EgoName::File, "file"),
-            ("--planner", planner.is_some() && *ego != EgoName::External, "external"),
+            ("--trajectory", trajectory.is_some() && *ego != EgoKind::File, "file"),
+            ("--reanchor", *reanchor && *ego != EgoKind::File, "file"),
+            ("--planner", planner.is_some() && *ego != EgoKind::External, "external"),
         ];
         if let Some((option, _, name)) = unused.into_iter().find(|(_, unused, _)| *unused) {
             return Err(WrongUsage(format!("expected --ego {name} with {option}, found {}", ego.name())));
@@ -331,7 +334,7 @@ impl SimulateArgs {
 
     /// Returns whether ego and other actors follow the log throughout.
     pub(super) fn follow_log(&self) -> [bool; 2] {
-        [self.policies.ego == EgoName::Replay, matches!(self.policies.actors, ActorName::Replay)]
+        [self.policies.ego == EgoKind::Replay, self.policies.actors == ActorPolicy::Replay]
     }
 
     /// Returns whether steps are the log's own frames, as in `pskel generate`.
@@ -370,21 +373,12 @@ impl SimulateArgs {
     pub(super) fn sim_options(&self, scenario: &Scenario<'_>) -> anyhow::Result<SimOptions> {
         let p = &self.policies;
         let (every_frames, steps) = self.frames_of(scenario)?;
-        let ego = match (p.ego, &p.trajectory, &p.planner) {
-            (EgoName::Straight, ..) => EgoPolicy::Straight,
-            (EgoName::RightThenBack, ..) => EgoPolicy::RightThenBack,
-            (EgoName::Cosine, ..) => EgoPolicy::Cosine,
-            (EgoName::LaneChange, ..) => EgoPolicy::LaneChange,
-            (EgoName::File, Some(path), _) => {
-                let anchor = if p.reanchor { PathAnchor::EachPlan } else { PathAnchor::Takeover };
-                EgoPolicy::File(LocalPath::read(path)?, anchor)
-            }
-            (EgoName::External, _, Some(address)) => {
-                EgoPolicy::External(PlannerSpec { address: address.clone(), timeout_s: p.planner_timeout })
-            }
-            // The parser requires the arguments of File and External.
-            (EgoName::Replay | EgoName::File | EgoName::External, ..) => EgoPolicy::Replay,
-        };
+        let anchor = if p.reanchor { PathAnchor::EachPlan } else { PathAnchor::Takeover };
+        let path = p.trajectory.as_deref().map(LocalPath::read).transpose()?.map(|path| (path, anchor));
+        let spec =
+            |address: &PlannerAddress| PlannerSpec { address: address.clone(), timeout_s: p.planner_timeout };
+        // The parser requires the arguments of these policies.
+        let ego = EgoPolicy::new(p.ego, path, p.planner.as_ref().map(spec)).unwrap_or(EgoPolicy::Replay);
         Ok(SimOptions {
             seed: p.seed,
             steps,
@@ -393,15 +387,8 @@ impl SimulateArgs {
             every_frames,
             start_us: p.start,
             ego,
-            tracking: match p.tracking {
-                TrackingName::Perfect => Tracking::Perfect,
-                TrackingName::Bicycle => Tracking::Bicycle,
-            },
-            actors: match p.actors {
-                ActorName::Replay => ActorPolicy::Replay,
-                ActorName::Idm => ActorPolicy::Idm,
-                ActorName::Reactive => ActorPolicy::Reactive,
-            },
+            tracking: p.tracking,
+            actors: p.actors,
             ..SimOptions::default()
         })
     }

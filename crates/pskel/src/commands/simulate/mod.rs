@@ -12,8 +12,6 @@ pub(crate) use args::ClipArgs;
 pub(crate) use args::SimulateArgs;
 #[cfg(feature = "network")]
 pub(crate) use generation::GenerationArgs;
-#[cfg(feature = "network")]
-pub(crate) use policies::EgoName;
 
 use std::time::Instant;
 

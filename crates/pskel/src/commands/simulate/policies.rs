@@ -1,17 +1,18 @@
 use std::path::PathBuf;
 
-use clap::{Args, ValueEnum};
-use pskel_sim::PlannerAddress;
-use serde::Serialize;
+use clap::Args;
+use pskel_sim::{ActorPolicy, EgoKind, PlannerAddress, Tracking};
 
+use crate::args::names::{names, names_of};
 use crate::args::numbers;
 
 /// Policies of ego and actors, and their rates.
 #[derive(Debug, Args)]
 pub(super) struct PolicyArgs {
     /// Policy of the ego after the warm-up
-    #[arg(long, value_enum, value_name = "POLICY", default_value = "replay")]
-    pub(super) ego: EgoName,
+    #[arg(long, value_name = "POLICY", default_value_t = EgoKind::Replay)]
+    #[arg(value_parser = names_of(EgoKind::OF_COMMAND))]
+    pub(super) ego: EgoKind,
     /// With --ego file: the path in the ego's frame, meters forward and to the left; JSON, CSV, TXT or NPY
     #[arg(long, value_name = "FILE", required_if_eq("ego", "file"))]
     pub(super) trajectory: Option<PathBuf>,
@@ -26,11 +27,11 @@ pub(super) struct PolicyArgs {
     #[arg(long, value_name = "S", default_value_t = 10.0)]
     pub(super) planner_timeout: f64,
     /// How the ego tracks the plan
-    #[arg(long, value_enum, default_value = "perfect")]
-    pub(super) tracking: TrackingName,
+    #[arg(long, default_value_t, value_parser = names::<Tracking>())]
+    pub(super) tracking: Tracking,
     /// Policy of the other actors after the warm-up
-    #[arg(long, value_enum, value_name = "POLICY", default_value = "replay")]
-    pub(super) actors: ActorName,
+    #[arg(long, value_name = "POLICY", default_value_t, value_parser = names::<ActorPolicy>())]
+    pub(super) actors: ActorPolicy,
     /// Simulation steps per second [default: 12 for nuScenes, 10 for other logs]
     #[arg(long, value_name = "F", value_parser = numbers::rate_hz, allow_negative_numbers = true)]
     pub(super) sim_hz: Option<f64>,
@@ -48,60 +49,4 @@ pub(super) struct PolicyArgs {
     /// Seed that is passed to planners
     #[arg(long, value_name = "SEED", default_value_t = 0)]
     pub(super) seed: u64,
-}
-
-/// Names of [`EgoPolicy`](pskel_sim::EgoPolicy).
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, ValueEnum)]
-#[value(rename_all = "snake_case")]
-#[serde(rename_all = "snake_case")]
-pub(crate) enum EgoName {
-    /// Recorded path of the ego.
-    Replay,
-    /// Straight ahead.
-    Straight,
-    /// Increasingly to the right.
-    RightThenBack,
-    /// 1.5 m to the right along half a cosine wave.
-    Cosine,
-    /// One lane to the right of the recorded path, at 10 m/s.
-    LaneChange,
-    /// Along the points of --trajectory.
-    File,
-    /// Plans of --planner.
-    External,
-}
-
-#[derive(Clone, Copy, Debug, ValueEnum)]
-#[value(rename_all = "snake_case")]
-pub(super) enum TrackingName {
-    /// The ego follows the plan exactly.
-    Perfect,
-    /// A kinematic bicycle model with limits tracks the plan.
-    Bicycle,
-}
-
-#[derive(Clone, Copy, Debug, ValueEnum)]
-#[value(rename_all = "snake_case")]
-pub(super) enum ActorName {
-    /// As in the log.
-    Replay,
-    /// Vehicles and cycles near the ego follow their paths by the Intelligent Driver Model.
-    Idm,
-    /// Actors near the ego keep speed and curvature, and brake.
-    Reactive,
-}
-
-impl EgoName {
-    /// Returns the name on the command line.
-    pub(super) fn name(self) -> &'static str {
-        match self {
-            Self::Replay => "replay",
-            Self::Straight => "straight",
-            Self::RightThenBack => "right_then_back",
-            Self::Cosine => "cosine",
-            Self::LaneChange => "lane_change",
-            Self::File => "file",
-            Self::External => "external",
-        }
-    }
 }

@@ -200,7 +200,10 @@ fn wrong_usage_exits_with_2() {
         ("bench --points p.npy --cameras c.json --seed 3", "cannot be used with"),
         ("bench --synthetic 0", "expected 1 to 4294967294 points"),
         ("bench --synthetic 1.5", "expected 1 to 4294967294 points"),
-        ("bench --maps colour", "expected maps out of color,depth,class,instance,boxes,map,point,tensor"),
+        (
+            "bench --maps colour",
+            "expected the map color, depth, class, instance, boxes, map, point or tensor",
+        ),
         (
             "bench --maps boxes",
             "expected a drive, or --maps out of color,depth,class,instance,point, found boxes",

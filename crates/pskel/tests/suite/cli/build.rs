@@ -158,7 +158,7 @@ fn wrong_usage_exits_with_2_and_frames_out_of_the_log_with_1() {
         ("--frames 2..2", "A..B with A < B"),
         ("--frames x", "A..B with A < B"),
         ("--box-margin -0.1", "0 or more"),
-        ("--template van=a.npy", "expected a template of sedan, suv"),
+        ("--template van=a.npy", "expected the template sedan, suv"),
         ("--template suv=a.npy --template suv=b.npy", "one --template a kind"),
         ("--no-such-option", "Usage"),
     ] {

@@ -300,7 +300,7 @@ fn wrong_usage_exits_with_2_and_times_out_of_the_log_with_1() {
         ("--radius -3", "more than 0"),
         ("--far nan", "more than 0"),
         ("--splat 15:1,35:2", "radii"),
-        ("--rasterizer opengl", "auto, compute, graphics or cpu"),
+        ("--rasterizer opengl", "auto, compute, graphics, cpu"),
         ("--depth-bins cubic", "linear, log"),
     ] {
         log.fail(&format!("{RENDER} {extra}"), 2, &[part]);

@@ -50,7 +50,7 @@ fn invalid_town_options_are_usage_errors() {
         ("town --size 9000x9000 --out out/x", ["at most 33554432 pixels", "9000x9000"]),
         ("town --size 90 --out out/x", ["a size HxW", "90"]),
         ("town --seed=-1 --out out/x", ["--seed", "-1"]),
-        ("town --light night --out out/x", ["day, dusk or overcast", "night"]),
+        ("town --light night --out out/x", ["day, dusk, overcast", "night"]),
         ("town --color red --out out/x", ["unexpected argument", "--color"]),
         ("town --seed 1", ["required", "--out"]),
         ("info town:frames=0", ["1 to 10000 frames", "\"0\""]),
