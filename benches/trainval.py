@@ -3,7 +3,7 @@
 
 It has copies of one scene under other names, which share the sweeps and images of the scene.
 
-    pskel town --seed 7 --frames 40 --size 225x400 --out out/town
+    pskel town seed=7,frames=40,size=225x400 --out out/town
     benches/trainval.py out/town out/trainval [SCENES]
 """
 

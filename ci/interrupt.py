@@ -57,7 +57,7 @@ COMMANDS = [
      None, False),
     ("train", f"train {TOWN} --config ../shared/net.json --drives drives --variants 1 --steps 6 --checkpoint 2 "
               "--batch 1 --out out", None, True),
-    ("town", "town --seed 5 --frames 3 --size 57x100 --out out", None, False),
+    ("town", "town seed=5,frames=3,size=57x100 --out out", None, False),
     ("templates", f"templates {SKELETON} --min-points 1 --out out", None, False),
     ("convert", f"convert {SKELETON} --out out", None, False),
 ]
@@ -229,7 +229,7 @@ def prepare(work, pskel):
     shared = work / "shared"
     shared.mkdir()
     (shared / "net.json").write_text(NETWORK)
-    for arguments in ("town --seed 5 --frames 5 --size 57x100 --out town", "build nuscenes:town --out skeleton"):
+    for arguments in ("town seed=5,frames=5,size=57x100 --out town", "build nuscenes:town --out skeleton"):
         done = subprocess.run([pskel, *arguments.split()], cwd=shared, capture_output=True, text=True, check=False)
         expect(done.returncode == 0, f"expected {arguments} to succeed, found {done.stderr}")
 

@@ -8,7 +8,7 @@ use crate::conditions::{ConditionError, ConditionOptions, StepInFlight, check_me
 use crate::geometry::View;
 use crate::maps::Maps;
 use crate::pipeline::Pipeline;
-use crate::raster::{self, Rasterizer, RasterizerDesc};
+use crate::raster::{self, MapKind, Rasterizer, RasterizerDesc};
 use crate::scene::{SceneClouds, SceneInstances, SceneState, SelectionOptions, Substitutes};
 use crate::skeleton::Skeleton;
 
@@ -27,6 +27,8 @@ pub struct RenderOptions<'a> {
     pub log: Option<&'a str>,
     /// Whether the maps have the lens distortion of the recorded cameras.
     pub distort: bool,
+    /// Whether the map layout is left out for states without an HD map; otherwise they are an error.
+    pub optional_map: bool,
 }
 
 impl Default for RenderOptions<'_> {
@@ -38,6 +40,7 @@ impl Default for RenderOptions<'_> {
             substitutes: Substitutes::built_in(),
             log: None,
             distort: false,
+            optional_map: false,
         }
     }
 }
@@ -63,6 +66,8 @@ pub struct Renderer<'a> {
     clouds: SceneClouds<'a>,
     rasterizer: Box<dyn Rasterizer + 'a>,
     maps: MapOptions,
+    /// Maps of states without an HD map, if they differ.
+    without_map: Option<MapOptions>,
     distorter: Option<Distorter>,
     in_flight: VecDeque<InFlight>,
 }
@@ -84,8 +89,12 @@ impl<'a> Renderer<'a> {
         let clouds = SceneClouds::with(skeleton, options.log.unwrap_or(first), options.substitutes)?;
         let rasterizer = raster::create(&options.rasterizer, clouds.cloud_set())?;
         let distorter = options.distort.then(|| Distorter::new(&options.conditions)).transpose()?;
+        let without_map = options.optional_map.then(|| {
+            let maps = options.conditions.maps.without(MapKind::Map);
+            MapOptions::new(ConditionOptions { maps, ..options.conditions.clone() }, options.selection)
+        });
         let maps = MapOptions::new(options.conditions, options.selection);
-        Ok(Self { distorter, ..Self::with_rasterizer(clouds, rasterizer, maps) })
+        Ok(Self { without_map, distorter, ..Self::with_rasterizer(clouds, rasterizer, maps) })
     }
 
     /// Creates a renderer with a rasterizer that holds [`SceneClouds::cloud_set`], for rasterizers outside
@@ -95,7 +104,7 @@ impl<'a> Renderer<'a> {
         rasterizer: Box<dyn Rasterizer + 'a>,
         maps: MapOptions,
     ) -> Self {
-        Self { clouds, rasterizer, maps, distorter: None, in_flight: VecDeque::new() }
+        Self { clouds, rasterizer, maps, without_map: None, distorter: None, in_flight: VecDeque::new() }
     }
 
     /// Checks that the maps of a state fit into the memory that is available. Rendering checks this too;
@@ -164,8 +173,10 @@ impl<'a> Renderer<'a> {
     /// # Errors
     /// As [`Renderer::render`]; also fails if too many frames are in flight.
     pub fn begin(&mut self, state: &SceneState) -> Result<(), Error> {
-        let pinholes = self.distorter.as_mut().map(|d| d.pinholes(state)).transpose()?;
-        self.begin_step(state, pinholes, &self.maps.clone())
+        let options = self.without_map.as_ref().filter(|_| state.map.is_none()).unwrap_or(&self.maps).clone();
+        let maps = options.conditions.maps;
+        let pinholes = self.distorter.as_mut().map(|d| d.pinholes(state, maps)).transpose()?;
+        self.begin_step(state, pinholes, &options)
     }
 
     /// Begins rendering other maps of a state than those that the renderer was created for, without lens

@@ -13,11 +13,9 @@ try:
         Frames,
         Log,
         LogError,
-        Renderer,
         RenderError,
         ResetAndRoll,
         Scene,
-        Simulation,
         SimulationError,
         Skeleton,
         __version__,
@@ -26,6 +24,8 @@ try:
     )
     from ._build import build
     from ._export import ExportReport, export
+    from ._renderer import Renderer
+    from ._simulation import Simulation
     from ._types import Maps
 except ModuleNotFoundError as error:
     if error.name != "pskel._pskel":

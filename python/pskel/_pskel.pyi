@@ -1,7 +1,7 @@
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from os import PathLike
 from pathlib import Path
-from typing import Any, Generic, Literal, Protocol, Self, TypeVar, final, overload
+from typing import Any, Generic, Protocol, Self, TypeVar, final, overload
 
 import numpy as np
 import numpy.typing as npt
@@ -103,7 +103,7 @@ class Scene:
 
 @final
 class Export:
-    def __new__(cls, args: Sequence[str]) -> Self: ...
+    def __new__(cls, logs: Sequence[str], out: str | PathLike[str], keywords: Mapping[str, Any]) -> Self: ...
     @property
     def shards(self) -> list[tuple[str, str, int, int]]: ...
     @property
@@ -118,7 +118,17 @@ class Scenes:
 
 @final
 class Log:
-    def __new__(cls, name: str, missing: Literal["skip", "error"] = "skip") -> Self: ...
+    def __new__(
+        cls,
+        name: str,
+        missing: str = "skip",
+        *,
+        sensor_root: str | PathLike[str] | None = None,
+        map_root: str | PathLike[str] | None = None,
+        allow_outside: bool = False,
+        ring_is: str = "auto",
+        image_distortion: str = "usual",
+    ) -> Self: ...
     @property
     def name(self) -> str: ...
     @property
@@ -163,23 +173,8 @@ class Frames:
     def __iter__(self) -> Self: ...
     def __next__(self) -> Maps: ...
 
-@final
 class Renderer:
-    def __new__(
-        cls,
-        skeleton: Skeleton,
-        *,
-        size: Sequence[int] | None = None,
-        out_size: Sequence[int] | None = None,
-        maps: Sequence[str] | None = None,
-        splat: str | None = None,
-        radius: float = 100.0,
-        min_actor_points: int = 20000,
-        default_templates: bool = True,
-        rasterizer: str = "auto",
-        device: str | int | None = None,
-        log: str | None = None,
-    ) -> Self: ...
+    def __new__(cls, skeleton: Skeleton, keywords: Mapping[str, Any]) -> Self: ...
     def render(self, scene: Scene) -> Maps: ...
     def render_all(self, scenes: Iterable[Scene]) -> Frames: ...
     @property
@@ -202,23 +197,8 @@ class Forecast(Generic[_T_co]):
     def map(self, function: Callable[[_T_co], _U]) -> Forecast[_U]: ...
     def __class_getitem__(cls, key: Any) -> Any: ...
 
-@final
 class Simulation:
-    def __new__(
-        cls,
-        log: Log,
-        *,
-        ego: str = "caller",
-        actors: str = "replay",
-        steps: int = 100,
-        tracking: str = "perfect",
-        sim_hz: float | None = None,
-        plan_hz: float | None = None,
-        warmup_frames: int = 1,
-        start_us: int | None = None,
-        seed: int = 0,
-        saved: str | None = None,
-    ) -> Self: ...
+    def __new__(cls, log: Log, keywords: Mapping[str, Any]) -> Self: ...
     @property
     def index(self) -> int: ...
     @property
@@ -275,7 +255,7 @@ class ResetAndRoll:
     def load(self, saved: bytes, conditions: Sequence[Committed[Any]]) -> None: ...
 
 def build(
-    log: Log, out: str | PathLike[str], *, resume: bool = False, progress: _Progress | None = None
+    logs: Sequence[Log], out: str | PathLike[str], keywords: Mapping[str, Any], progress: _Progress | None
 ) -> Skeleton: ...
 def fill_holes(color: npt.NDArray[np.uint8], depth: npt.NDArray[np.float32]) -> npt.NDArray[np.uint8]: ...
 def splat(

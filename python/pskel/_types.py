@@ -1,5 +1,9 @@
-"""Types of results."""
+"""Types of results and of keyword arguments."""
 
+from __future__ import annotations
+
+from collections.abc import Sequence
+from os import PathLike
 from typing import TypedDict
 
 import numpy as np
@@ -26,3 +30,76 @@ Maps = TypedDict(
 ``class``, ``instance`` and ``point`` are ``[V, H, W]``, 0 where empty. ``points`` ``[V, 20, H, W]`` and ``layout``
 ``[V, 6, H, W]`` are the map ``tensor``, the network input.
 """
+
+
+class RenderKeywords(TypedDict, total=False):
+    """Keyword arguments of ``pskel.Renderer`` besides ``maps``, ``out_size`` and ``log``."""
+
+    size: Sequence[int] | None
+    splat: str | None
+    radius: float
+    depth_bins: str
+    depth_embedding: str
+    far: float | None
+    occlusion: str
+    template_fit: str
+    color_filter: str
+    line_width: str
+    map_layers: str
+    min_actor_points: int
+    templates: str | PathLike[str] | None
+    default_templates: bool
+    augment: int | None
+    augment_share: float
+    augment_color_only: bool
+    rasterizer: str
+    device: str | int | None
+    gpu_memory: int | None
+    no_occlusion_culling: bool
+    distort: bool
+
+
+class ExportKeywords(TypedDict, total=False):
+    """Keyword arguments of ``pskel.export`` besides ``layout``, ``skeletons`` and ``progress``."""
+
+    only: tuple[int, int] | None
+    jobs: int
+    shard_frames: int
+    frames: tuple[int, int] | None
+    between_images: bool
+    hz: float | None
+    images: bool
+    verify: bool
+    format: str
+    color_folder: str
+    captions: str | PathLike[str] | None
+    annotations: str | PathLike[str] | None
+    sensor_root: str | PathLike[str] | None
+    map_root: str | PathLike[str] | None
+    allow_outside: bool
+    missing: str
+    ring_is: str
+    image_distortion: str
+    maps: Sequence[str] | None
+    size: Sequence[int] | None
+    out_size: Sequence[int] | None
+    splat: str | None
+    radius: float
+    depth_bins: str
+    depth_embedding: str
+    far: float | None
+    occlusion: str
+    template_fit: str
+    color_filter: str
+    line_width: str
+    map_layers: str
+    min_actor_points: int
+    templates: str | PathLike[str] | None
+    default_templates: bool
+    augment: int | None
+    augment_share: float
+    augment_color_only: bool
+    rasterizer: str
+    device: str | int | None
+    gpu_memory: int | None
+    no_occlusion_culling: bool

@@ -7,6 +7,7 @@ system that fsspec opens.
 
 from __future__ import annotations
 
+import argparse
 import json
 import logging
 import re
@@ -16,7 +17,7 @@ import tempfile
 from collections.abc import Sequence
 from os import PathLike, fspath
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 try:
     import ray
@@ -25,13 +26,14 @@ except ImportError as error:
 
 from . import _remote
 from ._build import progress_bar
-from ._export import ExportReport, arguments
+from ._export import ExportReport, defaults
 from ._pskel import Export
+from ._types import ExportKeywords
+
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
 
 __all__ = ["device", "export"]
-
-_LOG = re.compile(r"^(nuscenes|nuplan|nuplan-simgen|av2|town):")
-
 
 def device() -> str | None:
     """The UUID of the GPU that Ray assigned to this worker, for ``--device``; ``None`` without one.
@@ -49,17 +51,17 @@ def device() -> str | None:
     return uuids[assigned[0]]
 
 
-def _export_log(options: list[str], log: str, shards: list[str], out: str, skeletons: str | None) -> ExportReport:
+def _export_log(options: dict[str, Any], log: str, shards: list[str], out: str, skeletons: str | None) -> ExportReport:
     """Export shards of one log; runs in a worker."""
     with tempfile.TemporaryDirectory(prefix="pskel-") as scratch:
         local = Path(scratch)
         name = _remote.fetch(log, local / "logs", sensors=True) if _remote.is_remote(log) else log
         folder = local / "out" if _remote.is_remote(out) else Path(out)
-        args = [name, *options, f"--out={folder}", f"--skeletons={skeletons or local / 'skeletons'}"]
+        keywords = {**options, "skeletons": skeletons or local / "skeletons"}
         gpu = device()
         if gpu is not None:
-            args.append(f"--device={gpu}")
-        job = Export(args)
+            keywords["device"] = gpu
+        job = Export([name], folder, keywords)
         report: ExportReport = json.loads(job.run(shards))
         report["failures"] += [{"name": name, "error": error} for name, error in job.failures]
         if _remote.is_remote(out):
@@ -78,7 +80,7 @@ def export(
     num_gpus: float = 0,
     retries: int = 5,
     progress: bool = False,
-    **options: Any,
+    **options: Unpack[ExportKeywords],
 ) -> ExportReport:
     """Export the condition maps of logs with the workers of a Ray cluster.
 
@@ -89,13 +91,13 @@ def export(
     report lists failed logs and shards.
     """
     logs = [logs] if isinstance(logs, str) else list(logs)
-    given = arguments({"layout": layout, **options})
+    given = {**defaults(), **options, "layout": layout}
     return _export(logs, given, fspath(out), None if skeletons is None else fspath(skeletons), workers, num_cpus, num_gpus, retries, progress)
 
 
 def _export(
     logs: list[str],
-    given: list[str],
+    given: dict[str, Any],
     out: str,
     skeletons: str | None,
     workers: int | None,
@@ -115,7 +117,7 @@ def _export(
             log: _remote.fetch(log, local / "logs", sensors=False) if _remote.is_remote(log) else log for log in logs
         }
         folder = local / "out" if _remote.is_remote(out) else Path(out)
-        listing = Export([*copies.values(), *given, f"--out={folder}", f"--skeletons={local / 'none'}"])
+        listing = Export([*copies.values()], folder, {**given, "skeletons": local / "none"})
         total["failures"] += [{"name": name, "error": error} for name, error in listing.failures]
         done = _records(out, folder) if _remote.is_remote(out) else set()
         work: dict[str, list[str]] = {}
@@ -197,36 +199,40 @@ def _original(log: str, copies: dict[str, str]) -> str:
     return log
 
 
+def _options() -> dict[str, Any]:
+    """Options of the command line: parsers of their values by name; ``None`` for flags."""
+    parsers: dict[str, Any] = {"layout": str, "workers": int, "num_cpus": float, "num_gpus": float, "retries": int}
+    for name, kind in ExportKeywords.__annotations__.items():
+        text = kind if isinstance(kind, str) else kind.__forward_arg__
+        if text == "bool":
+            parsers[name] = None
+        elif text.startswith("tuple"):
+            parsers[name] = lambda value: tuple(int(number) for number in re.split(r"\.\.|/", value))
+        elif text.startswith("Sequence[int]"):
+            parsers[name] = lambda value: [int(side) for side in value.split("x")]
+        elif text.startswith("Sequence"):
+            parsers[name] = lambda value: value.split(",")
+        else:
+            parsers[name] = {"int": int, "float": float}.get(text.split(" ")[0], str)
+    return parsers
+
+
 def main(argv: list[str]) -> int:
     """Run ``python -m pskel.ray export ..``."""
-    usage = "usage: python -m pskel.ray export LOGS.. --out DIR_OR_URL [--workers N] [--num-gpus N] OPTIONS OF pskel export"
-    if not argv or argv[0] != "export":
-        print(usage, file=sys.stderr)
-        return 2
-    logs: list[str] = []
-    given: list[str] = []
-    own = {"out": "", "skeletons": "", "workers": "", "num-cpus": "1", "num-gpus": "0", "retries": "5"}
-    rest = iter(argv[1:])
-    for arg in rest:
-        name, equals, value = arg.removeprefix("--").partition("=")
-        if arg.startswith("--") and name in own:
-            own[name] = value if equals else next(rest, "")
+    parser = argparse.ArgumentParser("python -m pskel.ray", description="Options as of pskel.export and pskel.ray.export.")
+    parser.add_argument("command", choices=["export"])
+    parser.add_argument("logs", nargs="+")
+    parser.add_argument("--out", required=True)
+    parser.add_argument("--skeletons")
+    for name, kind in _options().items():
+        option = "--" + name.replace("_", "-")
+        if kind is None:
+            parser.add_argument(option, action=argparse.BooleanOptionalAction, default=argparse.SUPPRESS)
         else:
-            (logs if _LOG.match(arg) else given).append(arg)
-    if not logs or not own["out"]:
-        print(usage, file=sys.stderr)
-        return 2
-    report = _export(
-        logs,
-        given,
-        own["out"],
-        own["skeletons"] or None,
-        int(own["workers"]) if own["workers"] else None,
-        float(own["num-cpus"]),
-        float(own["num-gpus"]),
-        int(own["retries"]),
-        True,
-    )
+            parser.add_argument(option, type=kind, default=argparse.SUPPRESS, required=name == "layout")
+    given = vars(parser.parse_intermixed_args(argv))
+    del given["command"]
+    report = export(given.pop("logs"), given.pop("out"), progress=True, **given)
     print(json.dumps(report, indent=1))
     return 1 if report["failures"] else 0
 

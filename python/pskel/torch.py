@@ -7,12 +7,11 @@ before it forks. If it has, workers raise ``RenderError``; start them with ``mul
 
 from __future__ import annotations
 
-import inspect
 import math
 import os
 from collections import OrderedDict
 from collections.abc import Callable, Iterator, Sequence
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -23,6 +22,10 @@ except ImportError as error:
     raise ImportError("pskel.torch needs PyTorch: pip install 'pskel[torch]'") from error
 
 from . import Log, Renderer, Scene, Skeleton
+from ._types import RenderKeywords
+
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
 
 __all__ = ["Clip", "ClipSource", "ConditionDataset", "ConditionStream"]
 
@@ -68,7 +71,7 @@ class _Clips:
         augment: Augment | None = None,
         seed: int = 0,
         open_logs: int = 2,
-        **renderer: Any,
+        **renderer: Unpack[RenderKeywords],
     ) -> None:
         if frames < 1 or stride < 1 or open_logs < 1:
             raise ValueError(f"expected frames, stride and open_logs of 1 or more, found {frames}, {stride}, {open_logs}")
@@ -78,8 +81,8 @@ class _Clips:
             raise ValueError(f"expected every of 1 or more, found {every}")
         if hz is not None and not (math.isfinite(hz) and hz > 0):
             raise ValueError(f"expected hz above 0, found {hz}")
-        known = set(inspect.signature(Renderer).parameters) - {"skeleton", "maps", "out_size", "log"}
-        if unknown := sorted(set(renderer) - known):
+        known = RenderKeywords.__annotations__
+        if unknown := sorted(set(renderer) - set(known)):
             raise TypeError(f"expected the options {', '.join(sorted(known))}, found {', '.join(unknown)}")
         pairs = [tuple(source) if not isinstance(source, str) else (source,) for source in sources]
         if wrong := [pair for pair in pairs if len(pair) != 2]:

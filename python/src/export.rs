@@ -1,31 +1,51 @@
-use std::ffi::OsString;
 use std::path::PathBuf;
 
+use point_skeleton::conditions::Captions;
+use point_skeleton::conditions::write::meta::PromptParts;
+use point_skeleton::dataset::LogOpener;
 use point_skeleton::error::with_causes;
-use pskel::{ExportCommand, ListedExport};
-use pskel_export::ExportProgress;
+use point_skeleton::files::FileName;
+use pskel_export::{
+    ExportError, ExportJob, ExportOptions, ExportProgress, ListedExport, Part, SampleFormat, SampleTimes,
+};
+use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
+use pyo3::types::PyDict;
 
 use crate::error::{Error, invalid};
+use crate::keywords::Keywords;
 use crate::pool::detached;
 use crate::simulation::callback::Callback;
 
-/// An export of the condition maps of logs: the command `pskel export` with its arguments.
-#[pyclass(frozen, module = "pskel")]
+/// An export of the condition maps of logs, with the keyword arguments of `pskel.export`.
+#[pyclass(frozen, module = "pskel._pskel")]
 pub(crate) struct Export {
-    command: ExportCommand,
+    job: ExportJob,
     listed: ListedExport,
 }
 
 #[pymethods]
 impl Export {
-    /// Parses the arguments of `pskel export` and lists the shards. Raises `ValueError` for invalid
-    /// arguments.
+    /// Reads the arguments and lists the shards.
     #[new]
-    fn new(py: Python<'_>, args: Vec<OsString>) -> PyResult<Self> {
-        let command = ExportCommand::parse(args).map_err(|error| invalid(reason(&error.to_string())))?;
-        let listed = detached(py, || command.list().map_err(failed))?;
-        Ok(Self { command, listed })
+    fn new(py: Python<'_>, logs: Vec<String>, out: PathBuf, keywords: &Bound<'_, PyDict>) -> PyResult<Self> {
+        let keywords = Keywords(keywords);
+        let job = ExportJob {
+            logs: logs.iter().map(|log| keywords.locate(log)).collect::<PyResult<_>>()?,
+            out,
+            skeletons: keywords.get("skeletons")?,
+            options: options(keywords)?,
+            only: keywords.get::<Option<(u32, u32)>>("only")?.map(part).transpose()?,
+            rasterizer: keywords.rasterizer()?,
+            jobs: keywords.count("jobs")?,
+            verify: keywords.get("verify")?,
+            opener: LogOpener::new(),
+        };
+        if job.jobs > 64 {
+            return Err(PyValueError::new_err(format!("expected jobs of 1 to 64, found {}", job.jobs)));
+        }
+        let listed = detached(py, || job.list().map_err(failed))?;
+        Ok(Self { job, listed })
     }
 
     /// Shards to write: name, log, first key frame and the one after the last.
@@ -51,7 +71,7 @@ impl Export {
     /// Writes `index.json` into a folder with the records of all shards, and returns whether all of them
     /// exist.
     fn write_index(&self, py: Python<'_>, folder: PathBuf) -> PyResult<bool> {
-        detached(py, || self.command.write_index(&self.listed, &folder).map_err(failed))
+        detached(py, || self.job.write_index(&self.listed, &folder).map_err(failed))
     }
 
     /// Writes the shards with these names, by default all and their index, and returns a report as JSON.
@@ -72,7 +92,7 @@ impl Export {
                 listed.failures.clear();
                 listed.list = None;
             }
-            let report = self.command.run(&listed, &callback);
+            let report = self.job.run(&listed, &callback);
             match callback.raised() {
                 Some(raised) => Err(raised),
                 None => serde_json::to_string(&report.map_err(failed)?).map_err(invalid),
@@ -82,8 +102,49 @@ impl Export {
     }
 }
 
-fn failed(error: impl AsRef<dyn std::error::Error + Send + Sync>) -> PyErr {
-    Error::new_err(with_causes(error.as_ref()))
+fn options(keywords: Keywords<'_, '_>) -> PyResult<ExportOptions> {
+    let layout = keywords.named("layout")?;
+    let color_folder: FileName = keywords.get::<String>("color_folder")?.parse().map_err(invalid)?;
+    let prompt = keywords.path("annotations")?.as_deref().map(PromptParts::read).transpose();
+    let captions = keywords.path("captions")?.as_deref().map(Captions::read).transpose();
+    let options = ExportOptions {
+        layout,
+        conditions: keywords.conditions()?,
+        selection: keywords.selection()?,
+        substitutes: keywords.substitutes()?,
+        format: SampleFormat::of(keywords.named("format")?, layout).map_err(failed)?,
+        frames: keywords.frames()?.map(|frames| [frames.start, frames.end]),
+        shard_frames: keywords.count("shard_frames")?,
+        images: keywords.get("images")?,
+        times: times(keywords)?,
+        color_folder: color_folder.to_string(),
+        prompt: prompt.map_err(|error| failed(error.into()))?.unwrap_or_default(),
+        captions: captions.map_err(|error| failed(error.into()))?.unwrap_or_default(),
+    };
+    options.check().map_err(failed)?;
+    Ok(options)
+}
+
+fn times(keywords: Keywords<'_, '_>) -> PyResult<SampleTimes> {
+    let hz = keywords.number("hz", "of 0.1 to 100", |hz| (0.1..=100.0).contains(&hz))?;
+    match (hz, keywords.get("between_images")?) {
+        (Some(_), true) => Err(PyValueError::new_err("expected hz or between_images, found both")),
+        (Some(hz), false) => Ok(SampleTimes::Rate { hz }),
+        (None, true) => Ok(SampleTimes::Images),
+        (None, false) => Ok(SampleTimes::KeyFrames),
+    }
+}
+
+fn part((index, count): (u32, u32)) -> PyResult<Part> {
+    format!("{index}/{count}").parse().map_err(invalid)
+}
+
+fn failed(error: ExportError) -> PyErr {
+    let text = with_causes(&error).to_string();
+    match error {
+        ExportError::Options { .. } => PyValueError::new_err(text),
+        _ => Error::new_err(text),
+    }
 }
 
 impl ExportProgress for Callback {
@@ -98,11 +159,4 @@ impl ExportProgress for Callback {
     fn is_stopped(&self) -> bool {
         Self::is_stopped(self)
     }
-}
-
-/// Returns the first paragraph of the message about a wrong argument, without the usage of the command, in
-/// one line.
-fn reason(message: &str) -> String {
-    let message = message.strip_prefix("error: ").unwrap_or(message);
-    message.lines().map(str::trim).take_while(|line| !line.is_empty()).collect::<Vec<_>>().join(" ")
 }

@@ -4,13 +4,15 @@
 //! Every class wraps one type of the library and adds no behavior of its own. Calls that read files, wait for
 //! the device or simulate release the interpreter lock (`pool`). Errors of the library become subclasses of
 //! `pskel.Error` with the same text; invalid arguments become `ValueError`. Maps are NumPy arrays over all
-//! cameras (`maps`).
+//! cameras (`maps`). Functions with many keyword arguments receive them by name (`keywords`). Only `command`
+//! uses the crate of the command.
 
 mod build;
 mod command;
 mod error;
 mod export;
 mod fill;
+mod keywords;
 mod log;
 mod maps;
 mod pool;
@@ -62,6 +64,7 @@ mod _pskel {
     #[pymodule_init]
     fn init(module: &Bound<'_, PyModule>) -> PyResult<()> {
         crate::pool::imported();
+        crate::log::register_formats();
         module.add("__version__", env!("CARGO_PKG_VERSION"))
     }
 }

@@ -1,27 +1,25 @@
 use std::sync::{Arc, Mutex, PoisonError};
 
 use point_skeleton::pipeline::Pipeline;
-use point_skeleton::raster::RasterizerDesc;
-use point_skeleton::scene::{SelectionOptions, Substitutes};
-use point_skeleton::{ConditionOptions, MapSet, Maps, RenderOptions};
+use point_skeleton::scene::Substitutes;
+use point_skeleton::{Maps, RenderOptions};
 use pyo3::exceptions::{PyRuntimeError, PyValueError};
 use pyo3::prelude::*;
-use pyo3::types::{PyDict, PyIterator, PyString};
+use pyo3::types::{PyDict, PyIterator};
 use self_cell::self_cell;
 
-use crate::error::{FORKS, RenderError, invalid, raise};
-use crate::maps::arrays::Size;
+use crate::error::{FORKS, RenderError, raise};
+use crate::keywords::Keywords;
 use crate::maps::dictionary;
 use crate::pool::detached;
 use crate::scene::Scene;
 use crate::skeleton::Skeleton;
 
-static NO_TEMPLATES: Substitutes = Substitutes::NONE;
-
 /// Values that a renderer borrows.
 struct Source {
     skeleton: Arc<point_skeleton::Skeleton>,
-    log: Option<String>,
+    substitutes: Substitutes,
+    log: String,
 }
 
 type Borrowing<'a> = point_skeleton::Renderer<'a>;
@@ -35,13 +33,6 @@ self_cell!(
     }
 );
 
-/// Argument that names a device.
-#[derive(FromPyObject)]
-enum DeviceName {
-    Index(u32),
-    Text(String),
-}
-
 struct Device {
     /// `None` when closed.
     owned: Option<Owned>,
@@ -49,24 +40,8 @@ struct Device {
     series: u64,
 }
 
-/// Renders the condition maps of scenes from a skeleton. Owns a device and the points on it.
-///
-/// - `size`: (height, width) to render at, pixels; by default that of the cameras.
-/// - `out_size`: (height, width) of the maps, to which they are reduced after rendering; by default `size`.
-/// - `maps`: names of maps, by default color, depth, class, instance and boxes; also map (needs an HD map),
-///   point and tensor.
-/// - `splat`: radius by depth `Z:R,..`, by default `15:2,35:1,100:0`. Up to Z meters a point covers (2R+1) x
-///   (2R+1) pixels of `size`; points beyond the last Z are not drawn.
-/// - `radius`: distance from the ego along the global x and y axes up to which points are drawn, meters.
-/// - `min_actor_points`: actors with at most so many points get the shape of the template of their kind, if
-///   there is one, in all maps but color; trucks, buses, trailers and construction vehicles keep theirs.
-/// - `default_templates`: whether the built-in templates are used, besides those of the skeleton.
-/// - `rasterizer`: auto, compute, graphics or cpu (needs no driver); all give the same maps.
-/// - `device`: index, UUID, PCI address or part of the name; by default `PSKEL_DEVICE`, else the fastest.
-/// - `log`: name of the log whose actors are rendered, by default the first one of the skeleton.
-///
-/// Raises `ValueError` for invalid options, `RenderError` without a suitable device.
-#[pyclass(frozen, module = "pskel")]
+/// Base of `pskel.Renderer`, which documents the keyword arguments that it passes by name.
+#[pyclass(frozen, subclass, module = "pskel._pskel")]
 pub(crate) struct Renderer {
     device: Mutex<Device>,
     /// Log whose actors are rendered.
@@ -78,66 +53,42 @@ pub(crate) struct Renderer {
 #[pymethods]
 impl Renderer {
     #[new]
-    #[pyo3(signature = (skeleton, *, size=None, out_size=None, maps=None, splat=None, radius=100.0,
-        min_actor_points=20_000, default_templates=true, rasterizer="auto", device=None, log=None))]
-    #[allow(clippy::too_many_arguments)] // keyword arguments of Python
-    fn new(
-        py: Python<'_>,
-        skeleton: &Skeleton,
-        size: Option<Size>,
-        out_size: Option<Size>,
-        maps: Option<Bound<'_, PyAny>>,
-        splat: Option<&str>,
-        radius: f64,
-        min_actor_points: usize,
-        default_templates: bool,
-        rasterizer: &str,
-        device: Option<DeviceName>,
-        log: Option<String>,
-    ) -> PyResult<Self> {
-        let mut conditions = ConditionOptions {
-            radius_m: radius,
-            size: size.map(|Size(size)| size),
-            out_size: out_size.map(|Size(size)| size),
-            ..ConditionOptions::default()
-        };
-        if radius.is_nan() || radius <= 0.0 {
-            return Err(PyValueError::new_err(format!("expected a radius above 0 m, found {radius}")));
+    fn new(py: Python<'_>, skeleton: &Skeleton, keywords: &Bound<'_, PyDict>) -> PyResult<Self> {
+        let keywords = Keywords(keywords);
+        let (conditions, selection) = (keywords.conditions()?, keywords.selection()?);
+        let (substitutes, rasterizer) = (keywords.substitutes()?, keywords.rasterizer()?);
+        let distort: bool = keywords.get("distort")?;
+        if distort && conditions.color_filter.needs_depth() {
+            let found = conditions.color_filter.name();
+            let message = format!("expected the color_filter bilinear with distort, found {found}");
+            return Err(PyValueError::new_err(message));
         }
-        if let Some(maps) = maps {
-            conditions.maps = map_set(&maps)?;
-        }
-        if let Some(splat) = splat {
-            conditions.splat = splat.parse().map_err(invalid)?;
-        }
-        let kind = rasterizer.parse().map_err(invalid)?;
-        let device = device.map(|device| match device {
-            DeviceName::Index(index) => index.to_string(),
-            DeviceName::Text(text) => text,
-        });
-        let rasterizer = RasterizerDesc { kind, device, ..RasterizerDesc::default() };
+        let optional_map = keywords.maps()?.is_none();
         let skeleton = Arc::clone(&skeleton.inner);
-        if let Some(log) = log.as_ref().filter(|log| skeleton.manifest.times_us(log).is_none()) {
+        let given: Option<String> = keywords.get("log")?;
+        if let Some(log) = given.as_ref().filter(|log| skeleton.manifest.times_us(log).is_none()) {
             let found: Vec<&str> =
                 skeleton.manifest.sources.iter().map(|source| source.log.as_str()).collect();
             let message = format!("expected a log of the skeleton ({}), found {log:?}", found.join(", "));
             return Err(PyValueError::new_err(message));
         }
         let first = || skeleton.manifest.sources.first().map_or("", |source| source.log.as_str());
-        let name = log.as_deref().unwrap_or_else(first).to_owned();
+        let log = given.unwrap_or_else(|| first().to_owned());
+        let name = log.clone();
         let open = || {
-            Owned::try_new(Source { skeleton, log }, |source| {
+            let (substitutes, _) = substitutes.make(&skeleton, &log).map_err(raise)?;
+            Owned::try_new(Source { skeleton, substitutes, log }, |source| {
                 let options = RenderOptions {
                     conditions,
-                    selection: SelectionOptions { min_actor_points, ..SelectionOptions::default() },
+                    selection,
                     rasterizer,
-                    substitutes: if default_templates { Substitutes::built_in() } else { &NO_TEMPLATES },
-                    log: source.log.as_deref(),
-                    ..RenderOptions::default()
+                    substitutes: &source.substitutes,
+                    log: Some(&source.log),
+                    distort,
+                    optional_map,
                 };
-                point_skeleton::Renderer::new(&source.skeleton, options)
+                point_skeleton::Renderer::new(&source.skeleton, options).map_err(raise)
             })
-            .map_err(raise)
         };
         let owned = Some(detached(py, open)?);
         let device = Mutex::new(Device { owned, series: 0 });
@@ -287,22 +238,4 @@ impl Frames {
 
 fn closed() -> PyErr {
     PyRuntimeError::new_err("expected an open Renderer, found a closed one")
-}
-
-/// Reads map names.
-fn map_set(maps: &Bound<'_, PyAny>) -> PyResult<MapSet> {
-    let names: Vec<String> = match maps.is_instance_of::<PyString>() {
-        true => Vec::new(),
-        false => maps.extract()?,
-    };
-    if let Some(part) = names.iter().find(|name| ["points", "layout"].contains(&name.as_str())) {
-        return Err(PyValueError::new_err(format!(
-            "expected the map tensor, of which {part} is a part, found {part}"
-        )));
-    }
-    if names.is_empty() || names.iter().any(|name| name.contains(',')) {
-        let found = maps.repr()?;
-        return Err(PyValueError::new_err(format!("expected a sequence of map names, found {found}")));
-    }
-    names.join(",").parse().map_err(invalid)
 }

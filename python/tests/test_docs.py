@@ -45,5 +45,6 @@ def test_the_examples_run_in_order(tmp_path: Path, run: Run) -> None:
 def test_classes_document_their_options(kind: type) -> None:
     parameters = inspect.signature(kind).parameters.values()
     names = [parameter.name for parameter in parameters if parameter.kind is parameter.KEYWORD_ONLY]
-    missing = [name for name in names if f"`{name}`" not in (kind.__doc__ or "")]
+    documented = re.findall(r"`(\w+)`|^ *(\w+) : ", kind.__doc__ or "", re.MULTILINE)
+    missing = set(names) - {name for pair in documented for name in pair}
     assert names and not missing

@@ -275,7 +275,7 @@ def test_forks_do_not_hang(skeleton: pskel.Skeleton, run: Run, before: str, insi
 
 def test_forks_read_recorded_images(tmp_path: Path, run: Run, skeleton: pskel.Skeleton) -> None:
     folder = str(tmp_path / "town")
-    run("-m", "pskel", "town", "--seed", "7", "--frames", "2", "--size", "113x200", "--out", folder)
+    run("-m", "pskel", "town", "seed=7,frames=2,size=113x200", "--out", folder)
     before = f"{IMAGES}; renderer = pskel.Renderer(skeleton)"
     log = f"nuscenes:{folder}"
     done = run("-c", FORK.format(town=log, skeleton=str(skeleton.path), before=before, inside=f"{IMAGES}; del log"))
@@ -303,7 +303,7 @@ class Progress:
     def start(self, stage, steps): print(stage, steps, flush=True)
     def step(self): print("step", flush=True)
 try:
-    pskel._pskel.build(pskel.Log("{TOWN.replace("frames=4", "frames=60")}"), {str(tmp_path / "out")!r}, progress=Progress())
+    pskel.build(pskel.Log("{TOWN.replace("frames=4", "frames=60")}"), {str(tmp_path / "out")!r}, progress=Progress())
 except KeyboardInterrupt:
     print("interrupted")
     sys.exit(5)
@@ -332,7 +332,7 @@ def test_an_exception_of_the_progress_object_stops_the_build(tmp_path: Path, log
 
     progress = Progress()
     with pytest.raises(KeyError, match="mine"):
-        pskel._pskel.build(log, tmp_path / "out", progress=progress)
+        pskel.build(log, tmp_path / "out", progress=progress)
     assert progress.steps == 1
 
 

@@ -14,7 +14,7 @@ EXAMPLES = Path(__file__).parent.parent / "examples"
 
 def test_a_frame_is_plotted(tmp_path: Path, run: Run) -> None:
     image = pytest.importorskip("matplotlib.image")
-    run("-m", "pskel", "town", "--seed", "7", "--frames", "2", "--size", "113x200", "--out", str(tmp_path / "town"))
+    run("-m", "pskel", "town", "seed=7,frames=2,size=113x200", "--out", str(tmp_path / "town"))
     run(str(EXAMPLES / "render_frame.py"), f"nuscenes:{tmp_path / 'town'}", str(tmp_path / "out"))
     pixels = image.imread(tmp_path / "out" / "frame.png")
     assert pixels.shape[:2] == (360, 1600) and pixels.std() > 0.1

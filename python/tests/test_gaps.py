@@ -12,7 +12,7 @@ from conftest import Run
 @pytest.fixture
 def incomplete(tmp_path: Path, run: Run) -> str:
     """A log without one of its images, and with a damaged HD map."""
-    run("-m", "pskel", "town", "--seed", "7", "--frames", "2", "--size", "57x100", "--out", "data")
+    run("-m", "pskel", "town", "seed=7,frames=2,size=57x100", "--out", "data")
     next((tmp_path / "data/samples/CAM_BACK").iterdir()).unlink()
     next((tmp_path / "data/maps/expansion").iterdir()).write_text("{}")
     return f"nuscenes:{tmp_path / 'data'}"
@@ -38,5 +38,5 @@ def test_gaps_are_skipped_and_named(incomplete: str, tmp_path: Path) -> None:
 def test_gaps_can_be_errors(incomplete: str) -> None:
     with pytest.raises(pskel.LogError, match="missing image files: .*CAM_BACK"):
         pskel.Log(incomplete, missing="error")
-    with pytest.raises(ValueError, match='missing is "skip" or "error"'):
-        pskel.Log(incomplete, missing="ignore")  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match='missing to be one of skip, error, found "ignore"'):
+        pskel.Log(incomplete, missing="ignore")

@@ -106,7 +106,7 @@ def test_bad_plans_are_rejected_and_change_nothing(drive: pskel.Log) -> None:
 
 def test_bad_options_are_rejected(drive: pskel.Log) -> None:
     for options, message in [
-        ({"ego": "fly"}, "ego to be one of caller, replay"),
+        ({"ego": "fly"}, "ego to be one of replay, straight"),
         ({"actors": "fly"}, "actors to be one of"),
         ({"tracking": "fly"}, "tracking to be one of"),
         ({"steps": 0}, "at least one step"),

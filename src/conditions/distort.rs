@@ -11,7 +11,9 @@ use std::sync::Arc;
 use glam::DVec2;
 use rayon::prelude::*;
 
-use super::{CameraConditions, ConditionError, ConditionOptions, ConditionSet, ImageSize, MapKind, reduce};
+use super::{
+    CameraConditions, ConditionError, ConditionOptions, ConditionSet, ImageSize, MapKind, MapSet, reduce,
+};
 use crate::geometry::{Camera, Lens, View};
 use crate::memory::{Need, reserve};
 use crate::scene::SceneState;
@@ -54,11 +56,11 @@ impl Distorter {
         Ok(Self { options: options.clone(), known: Vec::new() })
     }
 
-    /// Returns the step to render in place of `state`.
+    /// Returns the step to render in place of `state` for these maps.
     ///
     /// # Errors
     /// Returns an error if a lens shows more than a pinhole image of reasonable size can cover.
-    pub fn pinholes(&mut self, state: &SceneState) -> Result<PinholeStep, ConditionError> {
+    pub fn pinholes(&mut self, state: &SceneState, maps: MapSet) -> Result<PinholeStep, ConditionError> {
         let mut state = state.clone();
         let mut warps = Vec::with_capacity(state.cameras.len());
         // Pinhole images are drawn at the scale of the recorded ones, and are larger where the lens shows
@@ -72,7 +74,7 @@ impl Distorter {
         }
         // The cache would grow without bound on a log whose calibration changes from frame to frame.
         self.known.retain(|(_, known)| warps.iter().any(|warp| Arc::ptr_eq(warp, known)));
-        let asked = self.options.clone();
+        let asked = ConditionOptions { maps, ..self.options.clone() };
         // Model tensors are encoded from the distorted maps.
         let maps = asked.maps.with_parts(state.map.is_some()).without(MapKind::Tensor);
         let line_scales = Some(line_scales);

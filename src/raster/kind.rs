@@ -49,6 +49,20 @@ impl Default for RasterizerDesc {
     }
 }
 
+impl RasterizerDesc {
+    /// Returns the parameters that are set although this kind of rasterizer has no use for them, as the
+    /// command names them: `device`, `gpu-memory`, `no-occlusion-culling`.
+    pub fn unused(&self) -> Vec<&'static str> {
+        use RasterizerKind::{Auto, Cpu, Graphics};
+        let unused = [
+            ("device", self.device.is_some() && self.kind == Cpu),
+            ("gpu-memory", self.memory_bytes.is_some() && matches!(self.kind, Cpu | Graphics)),
+            ("no-occlusion-culling", !self.occlusion_culling && !matches!(self.kind, Cpu | Auto)),
+        ];
+        unused.into_iter().filter(|(_, unused)| *unused).map(|(name, _)| name).collect()
+    }
+}
+
 impl From<RasterizerKind> for RasterizerDesc {
     fn from(kind: RasterizerKind) -> Self {
         Self { kind, ..Self::default() }

@@ -30,7 +30,8 @@ pub use options::{BuildOptions, Coloring};
 pub use store::{GenerateTemplates, Skeleton, SkeletonWriter};
 pub use templates::{
     ClusterReport, Instances, LibraryManifest, LogSource, TemplateCloud, TemplateKind, TemplateLibrary,
-    TemplateOptions, TemplateReport, TemplateSummary, default_templates, poisson_thin, read_template,
+    TemplateOptions, TemplateReport, TemplateSources, TemplateSummary, default_templates, poisson_thin,
+    read_template,
 };
 pub use trajectory::Trajectories;
 

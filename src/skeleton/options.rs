@@ -59,6 +59,14 @@ impl Default for BuildOptions {
 }
 
 impl BuildOptions {
+    /// Returns the defaults of a method of coloring.
+    pub fn of(coloring: Coloring) -> Self {
+        match coloring {
+            Coloring::Agreed => Self::default(),
+            Coloring::EveryCamera => Self::every_camera(),
+        }
+    }
+
     /// Returns the behavior of existing scripts, for comparison: colors from every camera that sees a point,
     /// no occlusion test, all copies retained, boxes grown by 0.5 m.
     pub fn every_camera() -> Self {

@@ -32,6 +32,14 @@ pub enum ExportError {
     #[cfg(feature = "video")]
     #[error(transparent)]
     Video(#[from] VideoError),
+    /// Options that contradict each other.
+    #[error("expected {expected}, found {found}")]
+    Options {
+        /// What the other options require.
+        expected: &'static str,
+        /// The given option.
+        found: &'static str,
+    },
     /// Two logs have one name; shards are named after logs.
     #[error("expected logs whose names differ as file names, found {name} twice")]
     SameName {

@@ -12,6 +12,7 @@ mod claim;
 mod error;
 mod files;
 mod index;
+mod job;
 mod layout;
 mod options;
 mod report;
@@ -22,6 +23,7 @@ mod work;
 
 pub use error::ExportError;
 pub use index::{Completeness, write_index};
+pub use job::{ExportJob, ListedExport};
 pub use options::{ExportOptions, Layout, SampleFormat, SampleTimes};
 pub use report::{ExportReport, Failure};
 pub use run::{Export, ExportProgress, OpenLog, export};

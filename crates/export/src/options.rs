@@ -1,10 +1,10 @@
 use point_skeleton::conditions::write::meta::PromptParts;
-use point_skeleton::conditions::{ConditionOptions, MapKind, MapSet};
+use point_skeleton::conditions::{Captions, ConditionOptions, MapFormat, MapKind, MapSet};
 use point_skeleton::scene::{SelectionOptions, SubstituteOptions};
+use point_skeleton::{named, named_in_files};
 use serde::Serialize;
 
-use point_skeleton::conditions::Captions;
-use point_skeleton::{named, named_in_files};
+use crate::ExportError;
 
 /// File layout of an export.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -81,6 +81,22 @@ pub enum SampleFormat {
     Safetensors,
 }
 
+impl SampleFormat {
+    /// Returns the form for a format of maps.
+    ///
+    /// # Errors
+    /// Fails if the layout does not support the format.
+    pub fn of(format: MapFormat, layout: Layout) -> Result<Self, ExportError> {
+        let found = match format {
+            MapFormat::Png => return Ok(Self::Png),
+            MapFormat::Safetensors if layout == Layout::Webdataset => return Ok(Self::Safetensors),
+            other => other.name(),
+        };
+        let expected = "--format png, or safetensors with --layout webdataset";
+        Err(ExportError::Options { expected, found })
+    }
+}
+
 /// Times of the samples.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 #[serde(rename_all = "snake_case")]
@@ -131,6 +147,21 @@ pub struct ExportOptions {
 }
 
 impl ExportOptions {
+    /// Checks that the options fit together.
+    ///
+    /// # Errors
+    /// Fails if the layout cannot have samples at a rate, or if the format cannot store tensors.
+    pub fn check(&self) -> Result<(), ExportError> {
+        let wrong = |expected, found| Err(ExportError::Options { expected, found });
+        if self.layout == Layout::PasCache && matches!(self.times, SampleTimes::Rate { .. }) {
+            return wrong("no --hz with --layout pas-cache, whose files are named after images", "one");
+        }
+        if self.format == SampleFormat::Png && self.conditions.maps.contains(MapKind::Tensor) {
+            return wrong("--format npz or safetensors with --maps tensor", "png");
+        }
+        Ok(())
+    }
+
     /// Returns whether the HD map is drawn or written.
     pub(crate) fn uses_map(&self) -> bool {
         #[cfg(feature = "parquet")]

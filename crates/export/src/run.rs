@@ -206,7 +206,7 @@ fn export_units(run: &Export<'_>, log: &ListedLog, report: &mut ExportReport) ->
             rasterizer: run.rasterizer.clone(),
             substitutes: &substitutes,
             log: Some(&recording.name),
-            distort: false,
+            ..RenderOptions::default()
         },
     )?;
     for unit in units {

@@ -24,7 +24,6 @@ use point_skeleton::memory::variable_limit;
 use point_skeleton::threads::start_pool;
 
 use self::terminal::{say, tell, tell_notes, warn};
-pub use commands::export::{ExportCommand, ListedExport};
 
 /// Converts driving recordings into camera conditions: color, metric depth, class, instance and layout maps.
 #[derive(Debug, Parser)]
@@ -66,7 +65,7 @@ impl Command {
             Self::Info(args) => commands::info::run(args),
             Self::Build(args) => commands::build::run(args),
             Self::Render(args) => commands::render::run(*args),
-            Self::Export(args) => commands::export::run(*args),
+            Self::Export(args) => commands::export::run(&args),
             Self::Simulate(args) => commands::simulate::run(*args),
             Self::Splat(args) => commands::splat::run(args),
             Self::Convert(args) => commands::convert::run(args),

@@ -6,52 +6,94 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use numpy::{PyArray1, PyArray4, PyArrayMethods};
-use point_skeleton::dataset::MissingData;
+use point_skeleton::dataset::{LogLocator, LogOpener, ReadOptions, register};
 use point_skeleton::error::with_causes;
 use point_skeleton::geometry::View;
 use point_skeleton::scene::GroundTruthImages;
+use pskel_eval::protocol::SIMGEN_FORMAT;
 use pskel_sim::Rates;
 use pyo3::exceptions::{PyIndexError, PyOverflowError, PyUserWarning, PyValueError};
 use pyo3::prelude::*;
-use pyo3::types::{PyList, PySlice};
+use pyo3::types::{PyDict, PyList, PySlice};
 
 use self::owned::OwnedLog;
 use crate::error::{LogError, RenderError, raise};
+use crate::keywords::named;
 use crate::maps::arrays::Size;
 use crate::pool::detached;
 use crate::scene::Scene;
 
+/// Adds the formats of other crates to those that logs have.
+pub(crate) fn register_formats() {
+    register(&SIMGEN_FORMAT);
+    register(&pskel_town::FORMAT);
+}
+
 /// A recorded drive: sensors, calibration, ego poses, tracked boxes and HD map. Its items are the scenes at
 /// key frames, by index or slice.
 ///
-/// `name` is `FORMAT:PATH[@VERSION][#SCENE]` or `town:OPTIONS`. `missing` is the policy for missing and
-/// damaged parts: `"skip"` counts them in `notes` and names missing ones in `gaps`, `"error"` raises with the
-/// first. Raises `LogError`; warns (`UserWarning`) of an incomplete log and of an HD map that cannot be read.
+/// Parameters
+/// ----------
+/// name : str
+///     `FORMAT:PATH[@VERSION][#SCENE]`, the path alone, or `town:OPTIONS`.
+/// missing : {"skip", "error"}
+///     Missing and damaged parts: `"skip"` counts them in `notes` and names missing ones in `gaps`,
+///     `"error"` raises with the first.
+/// sensor_root : path, optional
+///     Folder of sweeps and images, if not in the data set's usual place.
+/// map_root : path, optional
+///     Folder of maps, if not in the data set's usual place.
+/// allow_outside : bool
+///     Also read files outside the data set's folder that it names by absolute paths or by paths with `..`:
+///     only for data sets from trusted sources.
+/// ring_is : {"auto", "device", "beam"}
+///     What the ring numbers of sweeps are.
+/// image_distortion : {"usual", "apply", "ignore"}
+///     Whether recorded images have the lens distortion that the calibration states.
+///
+/// Raises
+/// ------
+/// LogError
+///     If the log cannot be read.
+/// ValueError
+///     For an unknown value.
+///
+/// Warns
+/// -----
+/// UserWarning
+///     If parts of the log are missing, or if the HD map cannot be read.
 #[pyclass(frozen, sequence, module = "pskel")]
 pub(crate) struct Log {
     pub(crate) inner: Arc<OwnedLog>,
     text: String,
-    missing: String,
+    locator: LogLocator,
 }
 
 #[pymethods]
 impl Log {
     #[new]
-    #[pyo3(signature = (name, missing = "skip"))]
-    fn new(py: Python<'_>, name: &str, missing: &str) -> PyResult<Self> {
-        let policy = match missing {
-            "skip" => MissingData::Skip,
-            "error" => MissingData::Error,
-            other => {
-                return Err(PyValueError::new_err(format!(
-                    "missing is \"skip\" or \"error\", not {other:?}"
-                )));
-            }
+    #[pyo3(signature = (name, missing="skip", *, sensor_root=None, map_root=None, allow_outside=false,
+        ring_is="auto", image_distortion="usual"))]
+    #[allow(clippy::too_many_arguments)] // keyword arguments of Python
+    fn new(
+        py: Python<'_>,
+        name: &str,
+        missing: &str,
+        sensor_root: Option<PathBuf>,
+        map_root: Option<PathBuf>,
+        allow_outside: bool,
+        ring_is: &str,
+        image_distortion: &str,
+    ) -> PyResult<Self> {
+        let reading = ReadOptions {
+            rings: named("ring_is", ring_is)?,
+            distortion: named("image_distortion", image_distortion)?,
+            missing: named("missing", missing)?,
         };
+        let locator = name.parse::<LogLocator>().map_err(raise)?;
+        let locator = LogLocator { sensor_root, map_root, allow_outside, reading, ..locator };
         let open = || {
-            let mut locator = pskel::logs::locate(name).map_err(raise)?;
-            locator.reading.missing = policy;
-            let log = pskel::logs::open(&locator).map_err(raise)?;
+            let log = LogOpener::new().open(&locator).map(point_skeleton::Log::new).map_err(raise)?;
             log.optional_map().map_err(raise)?;
             Ok(OwnedLog::new(log))
         };
@@ -63,7 +105,7 @@ impl Log {
             let text = CString::new(text.replace('\0', " ")).unwrap_or_default();
             PyErr::warn(py, &py.get_type::<PyUserWarning>(), &text, 1)?;
         }
-        Ok(Self { inner: Arc::new(log), text: name.to_owned(), missing: missing.to_owned() })
+        Ok(Self { inner: Arc::new(log), text: name.to_owned(), locator })
     }
 
     /// Number of skipped and missing items, by kind.
@@ -169,8 +211,16 @@ impl Log {
         format!("Log({:?}, {} frames)", self.text, self.__len__())
     }
 
-    fn __reduce__<'py>(slf: &Bound<'py, Self>) -> (Bound<'py, PyAny>, (String, String)) {
-        (slf.get_type().into_any(), (slf.get().text.clone(), slf.get().missing.clone()))
+    /// Returns the arguments of a copy in another process, which opens the log again.
+    fn __getnewargs_ex__<'py>(&self, py: Python<'py>) -> PyResult<((&str, &str), Bound<'py, PyDict>)> {
+        let LogLocator { sensor_root, map_root, allow_outside, reading, .. } = &self.locator;
+        let keywords = PyDict::new(py);
+        keywords.set_item("sensor_root", sensor_root)?;
+        keywords.set_item("map_root", map_root)?;
+        keywords.set_item("allow_outside", allow_outside)?;
+        keywords.set_item("ring_is", reading.rings.name())?;
+        keywords.set_item("image_distortion", reading.distortion.name())?;
+        Ok(((&self.text, reading.missing.name()), keywords))
     }
 }
 
@@ -207,6 +257,6 @@ impl Log {
 
     /// Returns the default rates of the log's format.
     pub(crate) fn rates(&self) -> Rates {
-        pskel::logs::locate(&self.text).map_or_else(|_| Rates::default(), |locator| Rates::of(locator.format))
+        Rates::of(self.locator.format)
     }
 }

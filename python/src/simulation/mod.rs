@@ -4,13 +4,19 @@ pub(super) mod roll;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use numpy::ndarray::ArrayViewD;
-use pskel_sim::{ActorPolicy, EgoPolicy, Instant, SavedState, Scenario, SimOptions, Tracking, scene_state};
+use point_skeleton::error::with_causes;
+use pskel_sim::{
+    EgoKind, EgoPolicy, Instant, LocalPath, PathAnchor, PlannerAddress, PlannerSpec, SavedState, Scenario,
+    SimOptions, scene_state,
+};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
+use pyo3::types::PyDict;
 use self_cell::self_cell;
 use serde::Serialize;
 
-use crate::error::{SimulationError, raise_sim};
+use crate::error::{SimulationError, invalid, raise_sim};
+use crate::keywords::Keywords;
 use crate::log::Log;
 use crate::log::owned::OwnedLog;
 use crate::maps::arrays::Numbers;
@@ -29,23 +35,8 @@ self_cell!(
     }
 );
 
-/// Closed-loop simulation: ego and actors move step by step. As an iterator it yields the observation of each
-/// planning step; with `ego="caller"`, call `act` before the next one. An ego that does not follow the log
-/// drives on after its end (`is_beyond_log`).
-///
-/// - `ego`: caller, replay, straight, cosine, right_then_back or lane_change.
-/// - `actors`: replay, idm or reactive.
-/// - `steps`: number of simulation steps, at least 1.
-/// - `tracking` of plans by the ego: perfect or bicycle.
-/// - `sim_hz`, `plan_hz`: simulation and planning steps per second, the first a multiple of the second; by
-///   default 12 and 2 for nuScenes, 10 and 5 for other logs.
-/// - `warmup_frames`: the first (N - 1) `sim_hz` / `plan_hz` steps follow the log.
-/// - `start_us`: start time, microseconds; by default that of the first frame.
-/// - `seed`: part of the saved state; these policies use no random numbers.
-/// - `saved`: result of `save` of a simulation with the same options, to resume it.
-///
-/// Raises `ValueError` for invalid options, `SimulationError` for a state of another simulation.
-#[pyclass(frozen, module = "pskel")]
+/// Base of `pskel.Simulation`, which documents the keyword arguments that it passes by name.
+#[pyclass(frozen, subclass, module = "pskel._pskel")]
 pub(crate) struct Simulation {
     state: Mutex<State>,
 }
@@ -59,42 +50,15 @@ struct State {
 #[pymethods]
 impl Simulation {
     #[new]
-    #[pyo3(signature = (log, *, ego="caller", actors="replay", steps=100, tracking="perfect", sim_hz=None,
-        plan_hz=None, warmup_frames=1, start_us=None, seed=0, saved=None))]
-    #[allow(clippy::too_many_arguments)] // keyword arguments of Python
-    fn new(
-        py: Python<'_>,
-        log: &Log,
-        ego: &str,
-        actors: &str,
-        steps: usize,
-        tracking: &str,
-        sim_hz: Option<f64>,
-        plan_hz: Option<f64>,
-        warmup_frames: usize,
-        start_us: Option<i64>,
-        seed: u64,
-        saved: Option<&str>,
-    ) -> PyResult<Self> {
-        let options = SimOptions {
-            seed,
-            steps,
-            sim_hz,
-            plan_hz,
-            warmup_frames,
-            start_us,
-            ego: choice("ego", ego, &EGO, EgoPolicy::name)?,
-            actors: choice("actors", actors, &ACTORS, |policy| policy.name())?,
-            tracking: choice("tracking", tracking, &TRACKING, |tracking| match tracking {
-                Tracking::Perfect => "perfect",
-                Tracking::Bicycle => "bicycle",
-            })?,
-            ..SimOptions::default()
-        };
-        let saved: Option<SavedState> = saved.map(serde_json::from_str).transpose().map_err(|error| {
-            let message = "expected a state that Simulation.save returned, found another text";
-            PyValueError::new_err(format!("{message}: {error}"))
-        })?;
+    fn new(py: Python<'_>, log: &Log, keywords: &Bound<'_, PyDict>) -> PyResult<Self> {
+        let keywords = Keywords(keywords);
+        let options = options(keywords)?;
+        let saved: Option<String> = keywords.get("saved")?;
+        let saved: Option<SavedState> =
+            saved.as_deref().map(serde_json::from_str).transpose().map_err(|error| {
+                let message = "expected a state that Simulation.save returned, found another text";
+                PyValueError::new_err(format!("{message}: {error}"))
+            })?;
         let (rates, log) = (log.rates(), Arc::clone(&log.inner));
         let start = || {
             Owned::try_new(log, |log| {
@@ -260,17 +224,6 @@ impl Simulation {
     }
 }
 
-const EGO: [EgoPolicy; 6] = [
-    EgoPolicy::Caller,
-    EgoPolicy::Replay,
-    EgoPolicy::Straight,
-    EgoPolicy::Cosine,
-    EgoPolicy::RightThenBack,
-    EgoPolicy::LaneChange,
-];
-const ACTORS: [ActorPolicy; 3] = [ActorPolicy::Replay, ActorPolicy::Idm, ActorPolicy::Reactive];
-const TRACKING: [Tracking; 2] = [Tracking::Perfect, Tracking::Bicycle];
-
 /// Answer of a planner.
 #[derive(Serialize)]
 struct Answer<'a> {
@@ -333,11 +286,39 @@ fn points(view: &ArrayViewD<'_, f64>, from: [f64; 2], dt: f64) -> Vec<Point> {
     (0..view.shape()[0]).map(&mut point).collect()
 }
 
-fn choice<T: Clone>(what: &str, text: &str, all: &[T], name: impl Fn(&T) -> &'static str) -> PyResult<T> {
-    let found = all.iter().find(|value| name(value) == text).cloned();
-    found.ok_or_else(|| {
-        let names: Vec<&str> = all.iter().map(&name).collect();
-        PyValueError::new_err(format!("expected {what} to be one of {}, found {text:?}", names.join(", ")))
+fn options(keywords: Keywords<'_, '_>) -> PyResult<SimOptions> {
+    let kind: EgoKind = keywords.named("ego")?;
+    let anchor = if keywords.get("reanchor")? { PathAnchor::EachPlan } else { PathAnchor::Takeover };
+    let path = keywords.path("trajectory")?.as_deref().map(LocalPath::read).transpose();
+    let path = path.map_err(|error| invalid(with_causes(&error)))?;
+    let planner = keywords.get::<Option<String>>("planner")?;
+    let planner: Option<PlannerAddress> = planner.as_deref().map(str::parse).transpose().map_err(invalid)?;
+    for (name, is_given, needs) in
+        [("trajectory", path.is_some(), EgoKind::File), ("planner", planner.is_some(), EgoKind::External)]
+    {
+        if is_given != (kind == needs) {
+            let found = if is_given { kind.name() } else { "none" };
+            let message = match is_given {
+                true => format!("expected the ego {needs} with a {name}, found {found}"),
+                false => format!("expected a {name} with the ego {needs}, found {found}"),
+            };
+            return Err(PyValueError::new_err(message));
+        }
+    }
+    let timeout_s = keywords.number("planner_timeout", "above 0 s", |seconds| seconds > 0.0)?;
+    let planner = planner.map(|address| PlannerSpec { address, timeout_s: timeout_s.unwrap_or(10.0) });
+    let ego = EgoPolicy::new(kind, path.map(|path| (path, anchor)), planner).unwrap_or(EgoPolicy::Caller);
+    Ok(SimOptions {
+        seed: keywords.get("seed")?,
+        steps: keywords.get("steps")?,
+        sim_hz: keywords.get("sim_hz")?,
+        plan_hz: keywords.get("plan_hz")?,
+        warmup_frames: keywords.get("warmup_frames")?,
+        start_us: keywords.get("start_us")?,
+        ego,
+        actors: keywords.named("actors")?,
+        tracking: keywords.named("tracking")?,
+        ..SimOptions::default()
     })
 }
 

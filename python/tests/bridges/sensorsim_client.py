@@ -28,7 +28,7 @@ def exact_town(folder: Path, seed: int, frames: int = 6, size: str = "113x200") 
     places, but the same for every program.
     """
     data = folder / f"town{seed}"
-    run("town", f"--seed={seed}", f"--frames={frames}", f"--size={size}", f"--out={data}")
+    run("town", f"seed={seed},frames={frames},size={size}", f"--out={data}")
     name = f"nuscenes:{data}@v1.0-town"
     run("build", name, f"--out={folder / f'skeleton{seed}'}")
     for table in ("ego_pose", "calibrated_sensor", "sample_annotation"):

@@ -16,6 +16,7 @@ mod instances;
 mod kind;
 mod library;
 mod options;
+mod sources;
 mod thin;
 
 pub use defaults::default_templates;
@@ -24,6 +25,7 @@ pub use instances::Instances;
 pub use kind::TemplateKind;
 pub use library::{LibraryManifest, LogSource, TemplateLibrary};
 pub use options::{ClusterReport, TemplateOptions, TemplateReport, TemplateSummary};
+pub use sources::TemplateSources;
 pub use thin::poisson_thin;
 
 use super::Template;

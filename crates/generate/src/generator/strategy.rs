@@ -31,16 +31,5 @@ named!(Strategy, "strategy" {
     ResetAndRoll => "reset_and_roll", "Rolls on to the forecasts, then discards all frames influenced by them";
     Rolling => "rolling", "One roll per step; frames retain the influence of old forecasts";
     Causal { history_noise: 0 } => "causal", "Clean previous frames, no forecasts";
-    NonCausal { forecasts: 1 } => "non_causal", "Clean previous frames, and --ahead forecasts";
+    NonCausal { forecasts: 1 } => "non_causal", "Clean previous frames, the current one, and forecasts that are discarded";
 });
-
-impl Strategy {
-    /// Returns the strategy with other data, where it has some.
-    pub fn with(self, noise: Option<usize>, ahead: Option<usize>) -> Self {
-        match self {
-            Self::Causal { history_noise } => Self::Causal { history_noise: noise.unwrap_or(history_noise) },
-            Self::NonCausal { forecasts } => Self::NonCausal { forecasts: ahead.unwrap_or(forecasts) },
-            other => other,
-        }
-    }
-}

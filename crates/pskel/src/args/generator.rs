@@ -1,6 +1,7 @@
 //! Generator options of the command line: the network and its strategy.
 
 use std::path::{Path, PathBuf};
+use std::str::FromStr;
 
 use clap::Args;
 use point_skeleton::conditions::{Captions, FrameCaptions};
@@ -8,6 +9,7 @@ use point_skeleton::dataset::Recording;
 use point_skeleton::error::FileError;
 use point_skeleton::files::json;
 use point_skeleton::files::text::printable;
+use point_skeleton::named::UnknownName;
 use pskel_generate::{DenoiserRig, Guidance, GuidedConditions, Preset, Recipe, SamplerOptions, Strategy};
 use pskel_network::{GeneratorSettings, NetworkName, OpenedNetwork};
 use pskel_sim::peer::MAX_TIMEOUT_S;
@@ -18,10 +20,21 @@ use crate::WrongUsage;
 
 /// Options for generating images from conditions.
 #[derive(Clone, Debug, Args)]
+#[command(next_help_heading = "Generator")]
 pub(crate) struct GeneratorArgs {
-    /// Strategy for advancing the window [default: reset_and_roll]
-    #[arg(long, value_name = "STRATEGY", value_parser = names::<Strategy>())]
-    strategy: Option<Strategy>,
+    /// Generate the cameras' images with a network: network (shipped with the program), network:FILE with
+    /// weights of `pskel train`, fill (no network: holes filled), or process:COMMAND, process:unix:PATH or
+    /// process:tcp:HOST:PORT (docs/src/reference/denoiser.md). Each planning step gets steps/STEP/generated,
+    /// and truth if ground truth is known. Map options apply to the written maps; the network's conditions
+    /// are rendered as in its training
+    #[arg(long, value_name = "NETWORK")]
+    pub(crate) generator: Option<NetworkName>,
+    /// Strategy for advancing the window: reset_and_roll or rolling, with `,clean=C` leading frames of the
+    /// window that are always clean [default: 0]; causal, with `,history_noise=N` noise on the previous
+    /// frames, in steps of 1000 [default: 0]; non_causal, with `,forecasts=K` forecasts in the window
+    /// [default: 1] [default: reset_and_roll]
+    #[arg(long, value_name = "STRATEGY[,KEY=N]")]
+    strategy: Option<StrategyArg>,
     /// Frames in the window, L; the first L - 1 frames are ground-truth images [default: the window the
     /// network was trained with; 4 for a process]
     #[arg(long, value_name = "L")]
@@ -29,15 +42,6 @@ pub(crate) struct GeneratorArgs {
     /// Inference steps, T; with rolling strategies a multiple of L - C [default: L - C]
     #[arg(long, value_name = "T")]
     infer_steps: Option<usize>,
-    /// With reset_and_roll: leading frames of the window that are always clean [default: 0]
-    #[arg(long, value_name = "C")]
-    clean: Option<usize>,
-    /// With --strategy non_causal: forecasts in the window [default: 1]
-    #[arg(long, value_name = "K")]
-    ahead: Option<usize>,
-    /// With --strategy causal: noise on the previous frames, in steps of 1000 [default: 0]
-    #[arg(long, value_name = "N")]
-    history_noise: Option<usize>,
     /// Scale of classifier-free guidance; 1 disables it, other values evaluate the network twice [default: 1]
     #[arg(long, value_name = "S", value_parser = scale, allow_negative_numbers = true)]
     guidance: Option<f32>,
@@ -66,53 +70,43 @@ pub(crate) struct GeneratorArgs {
 }
 
 impl GeneratorArgs {
+    /// Returns whether images are generated.
+    pub(crate) fn generates(&self) -> bool {
+        self.generator.is_some()
+    }
+
     /// Rejects options that have no effect.
-    pub(crate) fn check(&self, name: Option<&NetworkName>) -> Result<(), WrongUsage> {
-        let Self { strategy, clean, guidance, .. } = self;
-        let strategy = strategy.unwrap_or_default();
-        let rolls = matches!(strategy, Strategy::ResetAndRoll | Strategy::Rolling);
-        let is_process = matches!(name, Some(NetworkName::Process(_)));
-        let takes_recipe = is_process || matches!(name, Some(NetworkName::Fill));
+    pub(crate) fn check(&self) -> Result<(), WrongUsage> {
+        let is_process = matches!(self.generator, Some(NetworkName::Process(_)));
+        let takes_recipe = is_process || matches!(self.generator, Some(NetworkName::Fill));
         let preset = self.preset().map(|preset| preset.guidance);
-        let guided = guidance.or(preset).is_some_and(|scale| scale != 1.0);
+        let guided = self.guidance.or(preset).is_some_and(|scale| scale != 1.0);
         let network = "--generator";
         let process = "--generator process:..";
         let options = [
             ("--strategy", self.strategy.is_some(), true, network),
             ("--window", self.window.is_some(), true, network),
             ("--infer-steps", self.infer_steps.is_some(), true, network),
-            ("--guidance", guidance.is_some(), true, network),
+            ("--guidance", self.guidance.is_some(), true, network),
             ("--noise-seed", self.noise_seed.is_some(), true, network),
             ("--captions", self.captions.is_some(), true, network),
-            ("--clean", clean.is_some(), rolls, "--strategy reset_and_roll or rolling"),
-            (
-                "--ahead",
-                self.ahead.is_some(),
-                matches!(strategy, Strategy::NonCausal { .. }),
-                "--strategy non_causal",
-            ),
-            (
-                "--history-noise",
-                self.history_noise.is_some(),
-                matches!(strategy, Strategy::Causal { .. }),
-                "--strategy causal",
-            ),
             ("--guide", self.guide.is_some(), guided, "--guidance other than 1"),
             ("--sampler", self.sampler.is_some(), is_process, process),
             ("--recipe", self.recipe.is_some(), takes_recipe, "--generator process:.. or fill"),
             ("--generator-timeout", self.generator_timeout.is_some(), is_process, process),
         ];
         let given = options.into_iter().filter(|(_, is_given, ..)| *is_given);
-        let unused = given.into_iter().find(|(_, _, does, _)| name.is_none() || !does);
+        let unused = given.into_iter().find(|(_, _, does, _)| self.generator.is_none() || !does);
         let Some((option, _, _, needs)) = unused else { return Ok(()) };
-        let needs = if name.is_none() { network } else { needs };
+        let needs = if self.generator.is_none() { network } else { needs };
         Err(WrongUsage(format!("expected {needs} with {option}, found none")))
     }
 
-    /// Opens or starts the network for the cameras of a log.
-    pub(crate) fn open(&self, name: &NetworkName, rig: &DenoiserRig) -> anyhow::Result<OpenedNetwork> {
+    /// Opens or starts the network for the cameras of a log; `None` without `--generator`.
+    pub(crate) fn open(&self, rig: &DenoiserRig) -> anyhow::Result<Option<OpenedNetwork>> {
+        let Some(name) = &self.generator else { return Ok(None) };
         let opened = self.settings()?.open(name, rig);
-        opened.map_err(|error| match error.is_usage() {
+        opened.map(Some).map_err(|error| match error.is_usage() {
             true => WrongUsage(error.to_string()).into(),
             false => error.into(),
         })
@@ -127,10 +121,14 @@ impl GeneratorArgs {
         })
     }
 
-    /// Returns the files that are read: captions and recipe.
+    /// Returns the files that are read: weights, captions and recipe.
     pub(crate) fn inputs(&self) -> impl Iterator<Item = &Path> {
+        let weights = match &self.generator {
+            Some(NetworkName::Network(weights)) => weights.as_deref(),
+            _ => None,
+        };
         let recipe = self.recipe.as_deref().filter(|_| self.preset().is_none());
-        self.captions.as_deref().into_iter().chain(recipe)
+        weights.into_iter().chain(self.captions.as_deref()).chain(recipe)
     }
 
     /// Reads the captions of all logs.
@@ -152,16 +150,52 @@ impl GeneratorArgs {
             (None, None) => defaults.recipe,
         };
         let dropped = self.guide.unwrap_or_default().into();
+        let StrategyArg { strategy, clean } = self.strategy.unwrap_or_default();
         Ok(GeneratorSettings {
             window: self.window.or(preset.as_ref().map(|preset| preset.window)),
             steps: self.infer_steps.or(preset.as_ref().map(|preset| preset.steps)),
-            clean: self.clean.unwrap_or(defaults.clean),
-            strategy: self.strategy.unwrap_or_default().with(self.history_noise, self.ahead),
+            clean,
+            strategy,
             sampler: self.sampler.unwrap_or_default(),
             guidance: Guidance { scale: self.guidance.unwrap_or(default_guidance), dropped },
             noise_seed: self.noise_seed.unwrap_or(defaults.noise_seed),
             recipe,
             timeout_s: self.generator_timeout.unwrap_or(defaults.timeout_s),
+        })
+    }
+}
+
+/// A strategy with its number.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+struct StrategyArg {
+    strategy: Strategy,
+    /// Leading frames of the window that are always clean, C.
+    clean: usize,
+}
+
+impl FromStr for StrategyArg {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let (name, option) = text.split_once(',').map_or((text, None), |(name, option)| (name, Some(option)));
+        let strategy: Strategy = name.parse().map_err(|error: UnknownName| error.to_string())?;
+        let Some(option) = option else { return Ok(Self { strategy, clean: 0 }) };
+        let key = match strategy {
+            Strategy::ResetAndRoll | Strategy::Rolling => "clean",
+            Strategy::Causal { .. } => "history_noise",
+            Strategy::NonCausal { .. } => "forecasts",
+        };
+        let value = option.split_once('=').filter(|(found, _)| *found == key);
+        let number = value.and_then(|(_, number)| number.parse().ok());
+        let number = number.ok_or_else(|| format!("expected {key}=N with {name}, found {option:?}"))?;
+        Ok(match strategy {
+            Strategy::Causal { .. } => {
+                Self { strategy: Strategy::Causal { history_noise: number }, clean: 0 }
+            }
+            Strategy::NonCausal { .. } => {
+                Self { strategy: Strategy::NonCausal { forecasts: number }, clean: 0 }
+            }
+            strategy => Self { strategy, clean: number },
         })
     }
 }
@@ -187,6 +221,27 @@ fn timeout_s(text: &str) -> Result<f64, String> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn strategies_have_a_number_of_their_own() {
+        let parse = |text: &str| text.parse::<StrategyArg>();
+        for strategy in Strategy::ALL {
+            assert_eq!(parse(strategy.name()), Ok(StrategyArg { strategy, clean: 0 }));
+        }
+        let clean = StrategyArg { strategy: Strategy::Rolling, clean: 2 };
+        assert_eq!(parse("rolling,clean=2"), Ok(clean));
+        let causal = Strategy::Causal { history_noise: 50 };
+        assert_eq!(parse("causal,history_noise=50"), Ok(StrategyArg { strategy: causal, clean: 0 }));
+        let non_causal = Strategy::NonCausal { forecasts: 3 };
+        assert_eq!(parse("non_causal,forecasts=3"), Ok(StrategyArg { strategy: non_causal, clean: 0 }));
+        for (text, expected) in [
+            ("causal,clean=1", "history_noise=N with causal"),
+            ("rolling,clean=-1", "clean=N with rolling"),
+            ("reset", "reset_and_roll, rolling"),
+        ] {
+            assert!(parse(text).unwrap_err().contains(expected), "{text}");
+        }
+    }
 
     #[test]
     fn factors_and_time_outs_have_ranges() {

@@ -1,51 +1,50 @@
 use std::path::PathBuf;
 
 use clap::Args;
-use clap::builder::{PathBufValueParser, TypedValueParser};
 use point_skeleton::Log;
 use point_skeleton::dataset::{
     DatasetError, ImageDistortion, LogLocator, LogOpener, MissingData, ReadOptions, Recording, RingMeaning,
 };
 #[cfg(feature = "network")]
 use point_skeleton::files::Inputs;
-use point_skeleton::files::resolved_output;
 
 use super::names::names;
 use crate::{logs, warn};
 
-/// Locations of the parts of a data set.
+/// Heading of these options in help texts; set for each, since a heading of the group would also apply to the
+/// options after it.
+const READING: &str = "Reading of the log";
+
+/// Locations of the parts of a data set, and how it is read.
 #[derive(Clone, Debug, Default, Args)]
 pub(crate) struct LogRoots {
     /// Folder of sweeps and images, if not in the data set's usual place
-    #[arg(long, value_name = "DIR")]
+    #[arg(long, help_heading = READING, value_name = "DIR")]
     sensor_root: Option<PathBuf>,
     /// Folder of maps, if not in the data set's usual place
-    #[arg(long, value_name = "DIR")]
+    #[arg(long, help_heading = READING, value_name = "DIR")]
     map_root: Option<PathBuf>,
     /// Also read files outside the data set's folder that it names by absolute paths or by paths with "..":
     /// only for data sets from trusted sources
-    #[arg(long)]
+    #[arg(long, help_heading = READING)]
     allow_outside: bool,
     /// Missing and damaged parts of the log (files, records, boxes without a size): skip and count them, or
     /// fail with the first
-    #[arg(long, value_parser = names::<MissingData>(), default_value = "skip")]
+    #[arg(long, help_heading = READING, value_parser = names::<MissingData>(), default_value = "skip")]
     missing: MissingData,
     /// What the ring numbers of sweeps are. Points of other LiDARs than number 0 on moving actors are dropped
-    #[arg(long, value_name = "MEANING", value_parser = names::<RingMeaning>(), default_value = "auto")]
+    #[arg(long, help_heading = READING, value_name = "MEANING")]
+    #[arg(value_parser = names::<RingMeaning>(), default_value = "auto")]
     ring_is: RingMeaning,
     /// Whether recorded images have the lens distortion that the calibration states
-    #[arg(long, value_name = "HOW", value_parser = names::<ImageDistortion>(), default_value = "usual")]
+    #[arg(long, help_heading = READING, value_name = "HOW")]
+    #[arg(value_parser = names::<ImageDistortion>(), default_value = "usual")]
     image_distortion: ImageDistortion,
 }
 
 /// Argument parser for the name of a log.
 pub(crate) fn log(text: &str) -> Result<LogLocator, DatasetError> {
     logs::locate(text)
-}
-
-/// Argument parser for an output folder.
-pub(crate) fn output_folder() -> impl TypedValueParser<Value = PathBuf> {
-    PathBufValueParser::new().map(resolved_output)
 }
 
 /// Checks that no log is given twice.

@@ -1,17 +1,18 @@
 use clap::Args;
 use point_skeleton::conditions::{
-    BinScale, ColorFilter, ConditionOptions, DepthBins, DepthEmbedding, ImageSize, LayoutLayers, LayoutStyle,
-    LineWidth, MapFormat, MapKind, MapSet, Occlusion,
+    BinScale, ColorFilter, ConditionOptions, DepthBins, DepthEmbedding, LayoutLayers, LayoutStyle, LineWidth,
+    MapFormat, MapKind, MapSet, Occlusion,
 };
-use point_skeleton::raster::SplatSchedule;
 use point_skeleton::scene::{SelectionOptions, TemplateFit};
 
 use super::names::names;
 use super::numbers;
+use super::size::SizeArgs;
 use crate::WrongUsage;
 
 /// Options of condition maps, shared by all commands that render a log.
 #[derive(Clone, Debug, Args)]
+#[command(next_help_heading = "Maps")]
 pub(crate) struct MapArgs {
     /// Maps to render: color, depth, class, instance, boxes, map (the log's HD map), point (point numbers),
     /// and tensor (network inputs; npz and safetensors only) [default: color,depth,class,instance,boxes, and
@@ -21,16 +22,8 @@ pub(crate) struct MapArgs {
     /// Files: png (depth as 16-bit bins); exr, npz or safetensors (depth in meters, -300 where empty)
     #[arg(long, value_parser = names::<MapFormat>(), default_value = "png")]
     pub(crate) format: MapFormat,
-    /// Render at this size; scales the intrinsics [default: the size of the cameras]
-    #[arg(long, value_name = "HxW")]
-    pub(crate) size: Option<ImageSize>,
-    /// Reduce the maps to this size after rendering [default: no reduction]
-    #[arg(long, value_name = "HxW")]
-    pub(crate) out_size: Option<ImageSize>,
-    /// Splat radius by depth: up to Z meters a point covers (2R+1) x (2R+1) pixels; points beyond the last Z
-    /// are culled
-    #[arg(long, value_name = "Z:R,..", default_value_t)]
-    pub(crate) splat: SplatSchedule,
+    #[command(flatten)]
+    pub(crate) size: SizeArgs,
     /// Use points up to this distance from the ego along x and y of the log's frame, meters
     #[arg(long, value_name = "M", default_value = "100", value_parser = numbers::distance_m)]
     #[arg(allow_negative_numbers = true)]
@@ -101,16 +94,13 @@ impl MapArgs {
         let far_m = self.far.unwrap_or(self.radius) as f32;
         ConditionOptions {
             maps,
-            splat: self.splat.clone(),
             radius_m: self.radius,
-            size: self.size,
-            out_size: self.out_size,
             color_filter: self.color_filter,
             occlusion: self.occlusion,
             depth_bins: DepthBins { scale: self.depth_bins, far_m, ..DepthBins::default() },
             depth_embedding: self.depth_embedding,
             layout: LayoutStyle { line_width: self.line_width, map_layers: self.map_layers },
-            line_scales: None,
+            ..self.size.conditions()
         }
     }
 

@@ -1,13 +1,17 @@
-//! Groups of options that several subcommands share.
+//! Arguments that several commands share, each defined once, and parsers of their values.
 
+pub(crate) mod frames;
 #[cfg(feature = "network")]
-pub(super) mod generator;
-pub(super) mod log;
-pub(super) mod maps;
-pub(super) mod names;
-pub(super) mod numbers;
-pub(super) mod outputs;
-pub(super) mod rasterizer;
-pub(super) mod skeletons;
-pub(super) mod substitutes;
-pub(super) mod threads;
+pub(crate) mod generator;
+pub(crate) mod log;
+pub(crate) mod maps;
+pub(crate) mod names;
+pub(crate) mod numbers;
+pub(crate) mod outputs;
+pub(crate) mod prompt;
+pub(crate) mod rasterizer;
+pub(crate) mod rollout;
+pub(crate) mod size;
+pub(crate) mod source;
+pub(crate) mod substitutes;
+pub(crate) mod threads;

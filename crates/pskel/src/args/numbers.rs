@@ -1,49 +1,6 @@
 //! Parsers of numeric arguments, with their valid ranges.
 
-use std::fmt;
-use std::str::FromStr;
-
 use point_skeleton::skeleton::CHUNK_M;
-
-/// Half-open, non-empty range of frames `A..B`.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) struct FrameRange {
-    first: usize,
-    end: usize,
-}
-
-impl FrameRange {
-    /// Resolves an optional range for a log of `frames` frames; the default is all frames.
-    pub(crate) fn of(range: Option<Self>, frames: usize) -> anyhow::Result<std::ops::Range<usize>> {
-        let Some(range) = range else { return Ok(0..frames) };
-        anyhow::ensure!(range.end <= frames, "expected --frames within 0..{frames}, found {range}");
-        Ok(range.first..range.end)
-    }
-
-    /// Returns the range, for logs of any length.
-    pub(crate) fn of_any(self) -> std::ops::Range<usize> {
-        self.first..self.end
-    }
-}
-
-impl fmt::Display for FrameRange {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{}..{}", self.first, self.end)
-    }
-}
-
-impl FromStr for FrameRange {
-    type Err = String;
-
-    fn from_str(text: &str) -> Result<Self, String> {
-        let number = |text: &str| text.trim().parse::<usize>().ok();
-        let ends = text.split_once("..").and_then(|(a, b)| Some((number(a)?, number(b)?)));
-        match ends {
-            Some((first, end)) if first < end => Ok(Self { first, end }),
-            _ => Err("expected frames A..B with A < B (B is not among them)".to_owned()),
-        }
-    }
-}
 
 /// Parses a voxel size: 0, or a side that 21 bits can count within a chunk and that is not larger than a
 /// chunk.
@@ -104,18 +61,6 @@ pub(crate) fn finite(text: &str) -> Option<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn parses_frame_ranges() {
-        let range: FrameRange = "2..5".parse().unwrap();
-        assert_eq!(FrameRange::of(Some(range), 5).unwrap(), 2..5);
-        assert_eq!(FrameRange::of(None, 5).unwrap(), 0..5);
-        let message = FrameRange::of(Some(range), 4).unwrap_err().to_string();
-        assert!(message.contains("0..4, found 2..5"), "{message}");
-        for text in ["", "3", "5..2", "2..2", "..3", "1..", "-1..3", "1..x"] {
-            assert!(text.parse::<FrameRange>().is_err(), "{text}");
-        }
-    }
 
     #[test]
     fn parses_lengths() {

@@ -1,10 +1,25 @@
-//! Output files of a command, opened together before any work.
+//! Output folder and files of a command; files are opened together before any work.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
-use point_skeleton::files::{FileKind, Inputs, OutputFile, is_one_file};
+use clap::Args;
+use clap::builder::{PathBufValueParser, TypedValueParser};
+use point_skeleton::files::{FileKind, Inputs, OutputFile, is_one_file, resolved_output};
 
 use crate::WrongUsage;
+
+/// An output folder.
+#[derive(Clone, Debug, Args)]
+pub(crate) struct FolderArgs {
+    /// Folder to write: a new or empty one, or one that the same command wrote
+    #[arg(long, value_name = "DIR", value_parser = output_folder())]
+    pub(crate) out: PathBuf,
+}
+
+/// Argument parser for an output folder.
+pub(crate) fn output_folder() -> impl TypedValueParser<Value = PathBuf> {
+    PathBufValueParser::new().map(resolved_output)
+}
 
 /// An option with the file to write, if it is given.
 pub(crate) type FileOption<'a> = (&'static str, Option<&'a Path>, FileKind);

@@ -6,6 +6,7 @@ use crate::WrongUsage;
 
 /// Rasterizer options, shared by all commands that render.
 #[derive(Clone, Debug, Args)]
+#[command(next_help_heading = "Rasterizer")]
 pub(crate) struct RasterizerArgs {
     /// Rasterizer; all output the same maps
     #[arg(long, default_value_t, value_name = "KIND", value_parser = names::<RasterizerKind>())]
@@ -32,24 +33,18 @@ impl RasterizerArgs {
 
     /// Returns the parameters of the rasterizer.
     pub(crate) fn desc(&self) -> Result<RasterizerDesc, WrongUsage> {
-        let kind = self.rasterizer;
-        let unfit = match (&self.device, self.gpu_memory) {
-            (Some(device), _) if kind == RasterizerKind::Cpu => {
-                Some(format!("--device with --rasterizer cpu, found {device:?}"))
-            }
-            (_, Some(mib)) if matches!(kind, RasterizerKind::Cpu | RasterizerKind::Graphics) => {
-                Some(format!("--gpu-memory with --rasterizer {kind}, found {mib}"))
-            }
-            _ if self.no_occlusion_culling && !matches!(kind, RasterizerKind::Cpu | RasterizerKind::Auto) => {
-                Some(format!("--no-occlusion-culling with --rasterizer {kind}"))
-            }
-            _ => None,
+        let desc = RasterizerDesc {
+            kind: self.rasterizer,
+            device: self.device.clone(),
+            memory_bytes: self.gpu_memory.map(|mib| u64::from(mib) << 20),
+            occlusion_culling: !self.no_occlusion_culling,
         };
-        if let Some(unfit) = unfit {
-            return Err(WrongUsage(format!("expected no {unfit}")));
+        match desc.unused().first() {
+            None => Ok(desc),
+            Some(name) => {
+                let kind = self.rasterizer;
+                Err(WrongUsage(format!("expected no --{name} with --rasterizer {kind}, found one")))
+            }
         }
-        let memory_bytes = self.gpu_memory.map(|mib| u64::from(mib) << 20);
-        let (device, occlusion_culling) = (self.device.clone(), !self.no_occlusion_culling);
-        Ok(RasterizerDesc { kind, device, memory_bytes, occlusion_culling })
     }
 }

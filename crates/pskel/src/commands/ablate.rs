@@ -12,6 +12,7 @@ use pskel_network::Network;
 
 use crate::args::log::{self, LogRoots};
 use crate::args::names::names;
+use crate::args::outputs;
 use crate::args::rasterizer::RasterizerArgs;
 use crate::progress::Progress;
 use crate::{WrongUsage, logs, say};
@@ -44,7 +45,7 @@ pub(crate) struct AblateArgs {
     #[arg(long, value_name = "TABLE,..", value_delimiter = ',', value_parser = names::<Table>())]
     tables: Vec<Table>,
     /// Folder to write
-    #[arg(long, value_name = "DIR", value_parser = log::output_folder())]
+    #[arg(long, value_name = "DIR", value_parser = outputs::output_folder())]
     out: PathBuf,
     /// Number of frames to generate in each scene, after the references
     #[arg(long, value_name = "N", default_value_t = AblateOptions::default().steps as u16,

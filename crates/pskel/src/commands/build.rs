@@ -12,13 +12,15 @@ use point_skeleton::files::text::printable;
 use point_skeleton::named::UnknownName;
 use point_skeleton::skeleton::{
     self, Asset, BuildInput, BuildOptions, BuildRun, Coloring, Manifest, SkeletonWriter, TemplateCloud,
-    TemplateKind, TemplateLibrary,
+    TemplateKind, TemplateLibrary, TemplateSources,
 };
 
 use super::{info, templates};
+use crate::args::frames::FrameArgs;
 use crate::args::log::{self, LogRoots};
 use crate::args::names::names;
-use crate::args::numbers::{self, FrameRange};
+use crate::args::numbers;
+use crate::args::outputs::FolderArgs;
 use crate::logs;
 use crate::progress::StageProgress;
 use crate::{WrongUsage, say, tell_notes, warn};
@@ -35,10 +37,7 @@ pub(crate) struct BuildArgs {
     #[arg(value_name = "LOG", required = true, value_parser = log::log)]
     logs: Vec<LogLocator>,
     #[command(flatten)]
-    roots: LogRoots,
-    /// Folder to write
-    #[arg(long, value_name = "SKEL", value_parser = log::output_folder())]
-    out: PathBuf,
+    folder: FolderArgs,
     /// Side of the voxels in which points are merged, meters; 0 retains all points [default: 0.01; 0 with
     /// --coloring every-camera]
     #[arg(long, value_name = "M", value_parser = numbers::voxel_m, allow_negative_numbers = true)]
@@ -55,9 +54,8 @@ pub(crate) struct BuildArgs {
     /// Use only every N-th frame
     #[arg(long, value_name = "N", default_value = "1", value_parser = clap::value_parser!(u32).range(1..))]
     every: u32,
-    /// Use only this range of frames, numbered from 0 in log order, B excluded
-    #[arg(long, value_name = "A..B")]
-    frames: Option<FrameRange>,
+    #[command(flatten)]
+    frames: FrameArgs,
     /// Also use the sweeps between annotated frames, with interpolated boxes
     #[arg(long)]
     sweeps: bool,
@@ -78,6 +76,8 @@ pub(crate) struct BuildArgs {
     /// Folder of `pskel templates`, used for kinds that have no template yet
     #[arg(long, value_name = "DIR")]
     templates_from: Option<PathBuf>,
+    #[command(flatten)]
+    roots: LogRoots,
 }
 
 /// Argument `KIND=FILE`.
@@ -100,13 +100,13 @@ impl FromStr for TemplateFile {
 /// Runs the command: opens the logs, builds and writes the skeleton.
 pub(crate) fn run(args: BuildArgs) -> anyhow::Result<()> {
     let start = Instant::now();
-    SkeletonWriter::check_target(&args.out, &args.inputs())?;
-    if let Some(frames) = skeleton::unfinished_frames(&args.out).filter(|_| !args.resume) {
+    SkeletonWriter::check_target(&args.folder.out, &args.inputs())?;
+    if let Some(frames) = skeleton::unfinished_frames(&args.folder.out).filter(|_| !args.resume) {
         warn(&format!(
             "an unfinished build with {frames} frames done is discarded; pass --resume to continue it"
         ));
     }
-    if args.resume && skeleton::unfinished_frames(&args.out).is_none() {
+    if args.resume && skeleton::unfinished_frames(&args.folder.out).is_none() {
         warn("no unfinished build was found to resume; this one starts with the first frame");
     }
     let given = read_templates(&args.templates)?;
@@ -117,21 +117,22 @@ pub(crate) fn run(args: BuildArgs) -> anyhow::Result<()> {
     let progress = StageProgress::default();
     let run =
         BuildRun { resume: args.resume, checkpoint_frames: args.checkpoint as usize, progress: &progress };
-    let told = RefCell::new(String::new());
+    let sources = TemplateSources { given, own: args.own_templates, library: library.clouds };
+    let own = RefCell::new(String::new());
     let templates = |assets: &[(&Asset, &[Point])]| {
-        let mut all = given.clone();
-        if args.own_templates {
-            let (own, text) = templates::of_assets(assets);
-            all.extend(own);
-            told.replace(text);
-        }
-        all.extend(library.clouds.iter().cloned());
-        Ok(first_of_each_kind(all))
+        let (templates, report) = sources.templates(assets);
+        own.replace(report.as_ref().map_or(String::new(), templates::of_actors));
+        Ok(templates)
     };
-    let built = skeleton::build(&args.out, &inputs, &args.options(), &templates, &run)?;
+    let built = skeleton::build(&args.folder.out, &inputs, &args.options(), &templates, &run)?;
     drop(progress);
     let seconds = start.elapsed().as_secs_f64();
-    say(&format!("{}{} in {seconds:.2} s: {}", summary(&built.manifest), told.take(), args.out.display()));
+    say(&format!(
+        "{}{} in {seconds:.2} s: {}",
+        summary(&built.manifest),
+        own.take(),
+        args.folder.out.display()
+    ));
     Ok(())
 }
 
@@ -156,15 +157,12 @@ impl BuildArgs {
     }
 
     fn input<'a>(&self, log: &'a Log) -> anyhow::Result<BuildInput<'a>> {
-        let frames = FrameRange::of(self.frames, log.recording().frames.len())?;
+        let frames = self.frames.of(log.recording().frames.len())?;
         Ok(BuildInput { reader: log.reader(), frames: frames.step_by(self.every as usize).collect() })
     }
 
     fn options(&self) -> BuildOptions {
-        let mut options = match self.coloring {
-            Coloring::Agreed => BuildOptions::default(),
-            Coloring::EveryCamera => BuildOptions::every_camera(),
-        };
+        let mut options = BuildOptions::of(self.coloring);
         options.voxel_m = self.voxel.unwrap_or(options.voxel_m);
         options.actor_voxel_m = self.actor_voxel;
         options.split.margin_m = self.box_margin.unwrap_or(options.split.margin_m);
@@ -187,13 +185,6 @@ fn read_templates(files: &[TemplateFile]) -> anyhow::Result<Vec<TemplateCloud>> 
         Ok(template)
     };
     files.iter().map(read).collect()
-}
-
-/// Returns the first template of each kind, sorted by kind.
-fn first_of_each_kind(mut templates: Vec<TemplateCloud>) -> Vec<TemplateCloud> {
-    templates.sort_by_key(|(template, _)| template.kind);
-    templates.dedup_by_key(|(template, _)| template.kind);
-    templates
 }
 
 fn summary(built: &Manifest) -> String {

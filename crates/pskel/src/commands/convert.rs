@@ -7,8 +7,8 @@ use point_skeleton::error::FileError;
 use point_skeleton::files::Inputs;
 use point_skeleton::skeleton::Skeleton;
 
-use crate::args::log;
 use crate::args::names::names;
+use crate::args::outputs;
 use crate::{WrongUsage, say, tell_notes};
 
 /// Convert points: a skeleton to NPY or PLY files, or one such file to the other format
@@ -21,7 +21,7 @@ pub(crate) struct ConvertArgs {
     #[arg(value_name = "SKEL|P.npy|P.ply")]
     input: PathBuf,
     /// Folder or file to write
-    #[arg(long, value_name = "PATH", value_parser = log::output_folder())]
+    #[arg(long, value_name = "PATH", value_parser = outputs::output_folder())]
     out: PathBuf,
     /// Format to write [default: npy for a skeleton; for a file, the extension of --out]
     #[arg(long, value_parser = names::<PointFormat>())]

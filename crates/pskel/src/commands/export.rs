@@ -1,26 +1,25 @@
-use std::ffi::OsString;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::sync::{Mutex, PoisonError};
 use std::time::Instant;
 
-use clap::{Args, Parser};
-use point_skeleton::conditions::write::meta::PromptParts;
-use point_skeleton::conditions::{Captions, MapFormat};
-use point_skeleton::dataset::{LogLocator, LogOpener, expand};
-use point_skeleton::error::with_causes;
+use clap::Args;
+use point_skeleton::conditions::Captions;
+use point_skeleton::dataset::{LogLocator, LogOpener};
 use point_skeleton::files::FileName;
 use pskel_export::{
-    Completeness, Export, ExportOptions, ExportProgress, ExportReport, Failure, Layout, Part, SampleFormat,
-    SampleTimes, WorkList, export, write_index,
+    ExportError, ExportJob, ExportOptions, ExportProgress, ExportReport, Failure, Layout, Part, SampleFormat,
+    SampleTimes, WorkList,
 };
 
+use crate::args::frames::FrameArgs;
 use crate::args::log::{self, LogRoots};
 use crate::args::maps::MapArgs;
 use crate::args::names::names;
-use crate::args::numbers::{self, FrameRange};
+use crate::args::numbers;
+use crate::args::outputs::{self, FolderArgs};
+use crate::args::prompt::PromptArgs;
 use crate::args::rasterizer::RasterizerArgs;
 use crate::args::substitutes::SubstituteArgs;
-use crate::logs;
 use crate::progress::Progress;
 use crate::{WrongUsage, say, tell};
 
@@ -37,16 +36,13 @@ pub(crate) struct ExportArgs {
     /// nuPlan or Argoverse 2 logs is all of them
     #[arg(value_name = "LOG", required = true, value_parser = log::log)]
     logs: Vec<LogLocator>,
-    #[command(flatten)]
-    roots: LogRoots,
     /// Layout of the files
     #[arg(long, value_parser = names::<Layout>())]
     layout: Layout,
-    /// Folder to write
-    #[arg(long, value_name = "DIR", value_parser = log::output_folder())]
-    out: PathBuf,
+    #[command(flatten)]
+    folder: FolderArgs,
     /// Folder of skeletons, one per recording and named after it; those that do not exist are built
-    #[arg(long, value_name = "DIR", value_parser = log::output_folder())]
+    #[arg(long, value_name = "DIR", value_parser = outputs::output_folder())]
     skeletons: PathBuf,
     /// Print the shards, one per line (number, name, frames, recording), and write nothing
     #[arg(long)]
@@ -60,9 +56,8 @@ pub(crate) struct ExportArgs {
     /// Key frames per shard
     #[arg(long, value_name = "N", default_value = "256", value_parser = clap::value_parser!(u32).range(1..))]
     shard_frames: u32,
-    /// Range of key frames of each recording, numbered from 0, B excluded [default: all]
-    #[arg(long, value_name = "A..B")]
-    frames: Option<FrameRange>,
+    #[command(flatten)]
+    frames: FrameArgs,
     /// Also export the images between key frames (nuScenes: 12 Hz)
     #[arg(long, conflicts_with = "hz")]
     between_images: bool,
@@ -76,160 +71,65 @@ pub(crate) struct ExportArgs {
     /// Compare the checksums of existing shards, and write those that differ again
     #[arg(long)]
     verify: bool,
-    #[command(flatten)]
-    maps: MapArgs,
     /// Folder of the color maps in the layout pas-cache
     #[arg(long, value_name = "NAME", default_value = "proj_clr")]
     color_folder: FileName,
     /// Captions by name of a recording or token of an image: {"scene-0061": "Parked truck, turn left"}
     #[arg(long, value_name = "F.json")]
     captions: Option<PathBuf>,
-    /// Annotations for the prompt: {"weather": "Sunny", "city": "Boston"}, both optional
-    #[arg(long, value_name = "F.json")]
-    annotations: Option<PathBuf>,
     #[command(flatten)]
-    stand_ins: SubstituteArgs,
+    prompt: PromptArgs,
+    #[command(flatten)]
+    roots: LogRoots,
+    #[command(flatten)]
+    maps: MapArgs,
+    #[command(flatten)]
+    substitutes: SubstituteArgs,
     #[command(flatten)]
     rasterizer: RasterizerArgs,
 }
 
 /// Runs the command: lists the shards, and exports this process's.
-pub(crate) fn run(args: ExportArgs) -> anyhow::Result<()> {
+pub(crate) fn run(args: &ExportArgs) -> anyhow::Result<()> {
     let start = Instant::now();
-    let out = args.out.clone();
-    let export = ExportCommand { args, opener: LogOpener::new() };
-    let listed = export.list()?;
-    if export.args.list {
+    let job = args.job()?;
+    let listed = job.list()?;
+    if args.list {
         print(&listed.part);
         return finish(&listed.failures);
     }
     let frames = listed.part.logs.iter().flat_map(|log| &log.units).map(|unit| unit.frames.len()).sum();
     let progress = FrameProgress(Mutex::new(Progress::new(frames)));
-    let report = export.run(&listed, &progress)?;
+    let report = job.run(&listed, &progress)?;
     drop(progress);
-    say(&format!("{} in {:.1} s: {}", summary(&report), start.elapsed().as_secs_f64(), out.display()));
+    say(&format!("{} in {:.1} s: {}", summary(&report), start.elapsed().as_secs_f64(), job.out.display()));
     finish(&report.failures)
 }
 
-/// An export by the arguments of `pskel export`.
-pub struct ExportCommand {
-    args: ExportArgs,
-    /// Keeps the tables of a data set between its logs.
-    opener: LogOpener,
-}
-
-/// Parser of the arguments alone.
-#[derive(Debug, Parser)]
-#[command(name = "export", no_binary_name = true)]
-struct Standalone {
-    #[command(flatten)]
-    args: ExportArgs,
-}
-
-/// Shards of an export.
-#[derive(Clone, Debug)]
-pub struct ListedExport {
-    /// All shards, for the index. Without them no index is written.
-    pub list: Option<WorkList>,
-    /// Shards to write: the shards of `--only`.
-    pub part: WorkList,
-    /// Logs that cannot be opened.
-    pub failures: Vec<Failure>,
-}
-
-impl ExportCommand {
-    /// Parses the arguments of `pskel export`, without the names of program and command.
-    ///
-    /// # Errors
-    /// Fails if an argument is invalid.
-    pub fn parse(args: impl IntoIterator<Item = OsString>) -> Result<Self, clap::Error> {
-        Ok(Self { args: Standalone::try_parse_from(args)?.args, opener: LogOpener::new() })
-    }
-
-    /// Lists the shards.
-    ///
-    /// # Errors
-    /// Fails if a set of logs cannot be read, or if two logs have one name.
-    pub fn list(&self) -> anyhow::Result<ListedExport> {
-        let args = &self.args;
-        let mut locators = Vec::new();
-        for log in &args.logs {
-            locators.extend(expand(&args.roots.locate(log))?);
-        }
-        let (mut known, mut failures) = (Vec::new(), Vec::new());
-        for locator in locators {
-            match self.opener.outline(&locator) {
-                Ok(outline) => known.push((locator, outline)),
-                Err(error) => {
-                    failures.push(Failure { name: locator.to_string(), error: with_causes(&error) });
-                }
-            }
-        }
-        let frames = args.frames.map(FrameRange::of_any);
-        let list = WorkList::new(known, args.shard_frames as usize, frames)?;
-        let part = args.only.map_or_else(|| list.clone(), |part| list.part(part));
-        Ok(ListedExport { list: Some(list), part, failures })
-    }
-
-    /// Exports the shards of a part. The report includes the logs that could not be listed.
-    ///
-    /// # Errors
-    /// Fails if options contradict each other, if the folder cannot be written, or if `progress` requests a
-    /// stop.
-    pub fn run(&self, listed: &ListedExport, progress: &dyn ExportProgress) -> anyhow::Result<ExportReport> {
-        let args = &self.args;
-        let mut report = export(Export {
-            list: listed.list.as_ref(),
-            part: &listed.part,
-            out: &args.out,
-            skeletons: &args.skeletons,
-            options: &args.options()?,
-            open: &|locator: &LogLocator| logs::open_by(locator, &self.opener),
-            rasterizer: &args.rasterizer.desc()?,
-            jobs: args.jobs as usize,
-            verify: args.verify,
-            progress,
-        })?;
-        report.complete &= listed.failures.is_empty();
-        report.failures.splice(0..0, listed.failures.iter().cloned());
-        Ok(report)
-    }
-
-    /// Writes the index of an export whose records are in a folder, if all of them are. Returns whether they
-    /// are.
-    ///
-    /// # Errors
-    /// Fails if the file cannot be written.
-    pub fn write_index(&self, listed: &ListedExport, folder: &Path) -> anyhow::Result<bool> {
-        let Some(list) = &listed.list else { return Ok(false) };
-        Ok(write_index(list, folder, self.args.layout, Completeness::Record)?)
-    }
-}
-
 impl ExportArgs {
+    fn job(&self) -> anyhow::Result<ExportJob> {
+        Ok(ExportJob {
+            logs: self.logs.iter().map(|log| self.roots.locate(log)).collect(),
+            out: self.folder.out.clone(),
+            skeletons: self.skeletons.clone(),
+            options: self.options()?,
+            only: self.only,
+            rasterizer: self.rasterizer.desc()?,
+            jobs: self.jobs as usize,
+            verify: self.verify,
+            opener: LogOpener::new(),
+        })
+    }
+
     fn options(&self) -> anyhow::Result<ExportOptions> {
-        let format = match self.maps.format {
-            MapFormat::Png => SampleFormat::Png,
-            MapFormat::Safetensors if self.layout == Layout::Webdataset => SampleFormat::Safetensors,
-            _ => {
-                let expected =
-                    "expected --format png, or safetensors with --layout webdataset, found another";
-                return Err(WrongUsage(expected.to_owned()).into());
-            }
-        };
-        if self.layout == Layout::PasCache && self.hz.is_some() {
-            let expected = "expected no --hz with --layout pas-cache, whose files are named after images";
-            return Err(WrongUsage(format!("{expected}, found one")).into());
-        }
-        self.maps.check()?;
         let maps = self.maps.kinds(true).unwrap_or_default();
-        Ok(ExportOptions {
+        let options = ExportOptions {
             layout: self.layout,
             conditions: self.maps.conditions(maps),
             selection: self.maps.selection(),
-            substitutes: self.stand_ins.options(),
-            format,
-            frames: self.frames.map(|frames| frames.of_any()).map(|frames| [frames.start, frames.end]),
+            substitutes: self.substitutes.options(),
+            format: SampleFormat::of(self.maps.format, self.layout).map_err(usage)?,
+            frames: self.frames.of_any().map(|frames| [frames.start, frames.end]),
             shard_frames: self.shard_frames as usize,
             images: self.images,
             times: match self.hz {
@@ -238,9 +138,19 @@ impl ExportArgs {
                 None => SampleTimes::KeyFrames,
             },
             color_folder: self.color_folder.to_string(),
-            prompt: self.annotations.as_deref().map(PromptParts::read).transpose()?.unwrap_or_default(),
+            prompt: self.prompt.read()?,
             captions: self.captions.as_deref().map(Captions::read).transpose()?.unwrap_or_default(),
-        })
+        };
+        options.check().map_err(usage)?;
+        Ok(options)
+    }
+}
+
+/// Converts invalid options into [`WrongUsage`], which has its own exit code.
+fn usage(error: ExportError) -> anyhow::Error {
+    match error {
+        ExportError::Options { .. } => WrongUsage(error.to_string()).into(),
+        _ => error.into(),
     }
 }
 

@@ -5,20 +5,19 @@ use std::path::PathBuf;
 use std::time::Instant;
 
 use clap::Args;
-use point_skeleton::conditions::{ConditionOptions, ImageSize};
-use point_skeleton::dataset::{LogLocator, LogReader};
+use point_skeleton::dataset::LogReader;
 use point_skeleton::error::FileError;
 use point_skeleton::files::{Inputs, OutputFile};
-use point_skeleton::raster::SplatSchedule;
 use point_skeleton::{RenderOptions, Renderer};
 use pskel_eval::{FidelityFiles, POSES, fidelity};
 use pskel_town::Town;
 
-use crate::args::log;
-use crate::args::numbers::FrameRange;
+use crate::args::frames::FrameArgs;
+use crate::args::outputs;
 use crate::args::rasterizer::RasterizerArgs;
+use crate::args::size::SizeArgs;
+use crate::args::source::SourceArgs;
 use crate::args::substitutes::SubstituteArgs;
-use crate::args::{outputs, skeletons};
 use crate::progress::Progress;
 use crate::{WrongUsage, say};
 
@@ -29,27 +28,14 @@ use crate::{WrongUsage, say};
 /// to the right, or to the left if only that is on a lane.
 #[derive(Debug, Args)]
 pub(crate) struct FidelityArgs {
-    /// Synthetic town: town:seed=7,frames=40[,..]
-    #[arg(value_parser = log::log)]
-    log: LogLocator,
-    /// Skeleton that was built from the town
-    #[arg(long, value_name = "SKEL")]
-    skeleton: PathBuf,
-    /// Range of frames, numbered from 0 in log order, B excluded [default: all]
-    #[arg(long, value_name = "A..B")]
-    frames: Option<FrameRange>,
-    /// Render at this size; scales the intrinsics [default: the size of the cameras]
-    #[arg(long, value_name = "HxW")]
-    size: Option<ImageSize>,
-    /// Reduce maps and ground truth to this size after rendering [default: no reduction]
-    #[arg(long, value_name = "HxW")]
-    out_size: Option<ImageSize>,
-    /// Splat radius by depth: up to Z meters a point covers (2R+1) x (2R+1) pixels; points beyond the last Z
-    /// are culled
-    #[arg(long, value_name = "Z:R,..", default_value_t)]
-    splat: SplatSchedule,
     #[command(flatten)]
-    stand_ins: SubstituteArgs,
+    source: SourceArgs,
+    #[command(flatten)]
+    frames: FrameArgs,
+    #[command(flatten)]
+    size: SizeArgs,
+    #[command(flatten)]
+    substitutes: SubstituteArgs,
     #[command(flatten)]
     rasterizer: RasterizerArgs,
     /// Write all numbers as JSON
@@ -66,22 +52,23 @@ pub(crate) struct FidelityArgs {
 /// Runs the command: renders, compares, prints the table.
 pub(crate) fn run(args: &FidelityArgs) -> anyhow::Result<()> {
     let start = Instant::now();
-    if *args.log.format != pskel_town::FORMAT {
-        let message = format!("expected a log town:.., of which the truth is known, found {}", args.log);
+    if *args.source.log.format != pskel_town::FORMAT {
+        let message =
+            format!("expected a log town:.., of which the truth is known, found {}", args.source.log);
         return Err(WrongUsage(message).into());
     }
-    let inputs = Inputs::new([&args.skeleton]).and(args.stand_ins.inputs());
+    let inputs = Inputs::new([&args.source.skeleton]).and(args.substitutes.inputs());
     let files = [
         ("--json", args.json.as_deref(), FidelityFiles::JSON),
         ("--csv", args.csv.as_deref(), FidelityFiles::CSV),
         ("--markdown", args.markdown.as_deref(), FidelityFiles::MARKDOWN),
     ];
     let [json, csv, markdown] = outputs::open(files, &inputs, None)?;
-    let town = Town::open(&args.log)?;
+    let town = Town::open(&args.source.log)?;
     let log = town.recording();
-    let skeleton = skeletons::open_for(&args.skeleton, log)?;
-    let frames = FrameRange::of(args.frames, log.frames.len())?;
-    let (substitutes, _) = args.stand_ins.options().make(&skeleton, &log.name)?;
+    let skeleton = args.source.open_skeleton(log)?;
+    let frames = args.frames.of(log.frames.len())?;
+    let (substitutes, _) = args.substitutes.options().make(&skeleton, &log.name)?;
     let render = RenderOptions {
         rasterizer: args.rasterizer.desc()?,
         substitutes: &substitutes,
@@ -89,22 +76,16 @@ pub(crate) fn run(args: &FidelityArgs) -> anyhow::Result<()> {
         ..RenderOptions::default()
     };
     let mut renderer = Renderer::new(&skeleton, render)?;
-    let options = ConditionOptions {
-        splat: args.splat.clone(),
-        size: args.size,
-        out_size: args.out_size,
-        ..ConditionOptions::default()
-    };
     let mut progress = Progress::new(POSES * frames.len());
     let mut on_step = |name: &str| progress.step(name);
-    let report = fidelity(&town, &mut renderer, frames, options, &mut on_step)?;
+    let report = fidelity(&town, &mut renderer, frames, args.size.conditions(), &mut on_step)?;
     drop(progress);
     json.map_or(Ok(()), |file| file.write_json(&report))?;
     write_text(csv, &report.csv())?;
     write_text(markdown, &report.markdown())?;
     say(report.table().trim_end());
     let images = report.poses.iter().map(|row| row.images).sum::<usize>();
-    let (seconds, skeleton) = (start.elapsed().as_secs_f64(), args.skeleton.display());
+    let (seconds, skeleton) = (start.elapsed().as_secs_f64(), args.source.skeleton.display());
     say(&format!("compared {images} images of {} in {seconds:.2} s: {skeleton}", log.name));
     Ok(())
 }

@@ -5,18 +5,20 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use clap::Args;
-use point_skeleton::dataset::{LogLocator, nuscenes};
-use point_skeleton::scene::EgoOffset;
+use point_skeleton::dataset::nuscenes;
 use pskel_eval::protocol::ClipClock;
 use pskel_generate::{CopiedLog, DatasetCopy};
-use pskel_network::NetworkName;
 use pskel_sim::EgoKind;
 
-use super::simulate::{self, ClipArgs, GenerationArgs, SimulateArgs};
+use super::simulate::{self, ClipArgs, SimulateArgs};
+use crate::args::frames::MovedEgoArgs;
 use crate::args::generator::GeneratorArgs;
-use crate::args::log::{self, LogRoots};
 use crate::args::maps::MapArgs;
+use crate::args::outputs::FolderArgs;
+use crate::args::prompt::PromptArgs;
 use crate::args::rasterizer::RasterizerArgs;
+use crate::args::rollout::RolloutArgs;
+use crate::args::source::SourceArgs;
 use crate::args::substitutes::SubstituteArgs;
 use crate::{WrongUsage, say};
 
@@ -26,73 +28,45 @@ use crate::{WrongUsage, say};
 /// generated/CAM.png and truth/CAM.png, index.html, a page that plays it, and rollout.mp4. The first frames
 /// are references, which are ground-truth images.
 #[derive(Debug, Args)]
+#[command(mut_arg("generator", |arg| arg.default_value("network")))]
+#[command(mut_arg("steps", |arg| arg.help("Number of steps [default: to the end of the log]")))]
 pub(crate) struct GenerateArgs {
-    /// Recording: FORMAT:PATH[@VERSION][#SCENE], like nuscenes:/data/nuscenes@v1.0-mini#scene-0061
-    #[arg(value_parser = log::log)]
-    log: LogLocator,
     #[command(flatten)]
-    roots: LogRoots,
-    /// Skeleton that was built from the recording
-    #[arg(long, value_name = "SKEL")]
-    skeleton: PathBuf,
-    /// Folder to write: a new or empty one, or an earlier rollout, which is replaced
-    #[arg(long, value_name = "DIR", value_parser = log::output_folder())]
-    out: PathBuf,
-    /// Network: network (shipped with the program), network:FILE with weights of `pskel train`, fill (no
-    /// network: holes filled), or process:COMMAND, process:unix:PATH or process:tcp:HOST:PORT
-    /// (docs/src/reference/denoiser.md). Map options apply to the written maps; the network's conditions are
-    /// rendered as in its training
-    #[arg(long, value_name = "NETWORK", default_value = "network")]
-    generator: NetworkName,
-    /// Number of steps [default: to the end of the log]
-    #[arg(long, value_name = "N", default_value_t = usize::MAX, hide_default_value = true)]
-    steps: usize,
+    source: SourceArgs,
+    #[command(flatten)]
+    folder: FolderArgs,
+    #[command(flatten)]
+    rollout: RolloutArgs,
     /// Generate every N-th frame [default: the N closest to 2 frames per second for nuScenes, 5 for other
     /// logs]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
     every: Option<u16>,
-    /// Start at the first frame at or after this time, absolute microseconds [default: the log's first frame]
-    #[arg(long, value_name = "T_US", allow_negative_numbers = true)]
-    start: Option<i64>,
-    /// Move the ego of a synthetic log at all frames, like forward_m=1,left_m=-2,yaw_deg=5: meters forward
-    /// and to the left, degrees to the left
-    #[arg(long, value_name = "left_m=M,..")]
-    ego_offset: Option<EgoOffset>,
     /// Also write a copy of the data set (nuScenes) with the generated images, enlarged to the original size;
     /// all other files are links to the original. A new or empty folder, or an earlier copy, which is
     /// replaced
     #[arg(long, value_name = "DIR")]
     dataset: Option<PathBuf>,
     #[command(flatten)]
-    maps: MapArgs,
-    /// Continue the rollout in --out after its last step, with the same log, skeleton and options; --steps,
-    /// --generator-timeout, --profile and the rasterizer may change
-    #[arg(long)]
-    resume: bool,
-    /// Continue after this step; later ones are generated again
-    #[arg(long, value_name = "STEP")]
-    resume_from: Option<usize>,
-    /// Write the times of all steps and stages to this file
-    #[arg(long, value_name = "F.json")]
-    profile: Option<PathBuf>,
-    /// Annotations for the prompt in meta.json: {"weather": "Sunny", "city": "Boston"}, both optional
-    #[arg(long, value_name = "F.json")]
-    annotations: Option<PathBuf>,
+    moved: MovedEgoArgs,
     #[command(flatten)]
-    stand_ins: SubstituteArgs,
+    prompt: PromptArgs,
+    #[command(flatten)]
+    generator: GeneratorArgs,
+    #[command(flatten)]
+    maps: MapArgs,
+    #[command(flatten)]
+    substitutes: SubstituteArgs,
     #[command(flatten)]
     rasterizer: RasterizerArgs,
-    #[command(flatten, next_help_heading = "Options of the generator")]
-    generating: GeneratorArgs,
 }
 
 /// Runs the command: generates the rollout, then writes the copy of the data set.
 pub(crate) fn run(args: GenerateArgs) -> anyhow::Result<()> {
-    if args.dataset.is_some() && *args.log.format != nuscenes::FORMAT {
-        let message = format!("expected a log nuscenes:.. with --dataset, found {}", args.log);
+    if args.dataset.is_some() && *args.source.log.format != nuscenes::FORMAT {
+        let message = format!("expected a log nuscenes:.. with --dataset, found {}", args.source.log);
         return Err(WrongUsage(message).into());
     }
-    let (log, roots, out) = (args.log.clone(), args.roots.clone(), args.out.clone());
+    let (log, roots, out) = (args.source.log.clone(), args.source.roots.clone(), args.folder.out.clone());
     let open = |folder: PathBuf| -> anyhow::Result<_> {
         let copy = DatasetCopy::open(&log.path, &folder, Some(&out))?;
         copy.check(roots.open(&log)?.recording())?;
@@ -111,24 +85,18 @@ pub(crate) fn run(args: GenerateArgs) -> anyhow::Result<()> {
 impl GenerateArgs {
     fn simulation(self) -> SimulateArgs {
         SimulateArgs::of_clip(ClipArgs {
-            log: self.log,
-            roots: self.roots,
-            skeleton: self.skeleton,
-            out: self.out,
-            generation: GenerationArgs { generator: Some(self.generator), options: self.generating },
-            steps: self.steps,
+            source: self.source,
+            folder: self.folder,
+            rollout: self.rollout,
             clock: self.every.map(|every| ClipClock::Frames(usize::from(every))),
             ego: EgoKind::Replay,
             least_warmup: false,
-            start: self.start,
-            ego_offset: self.ego_offset,
-            maps: self.maps,
-            resume: self.resume,
-            resume_from: self.resume_from,
-            profile: self.profile,
+            ego_offset: self.moved.ego_offset,
             copies_dataset: self.dataset.is_some(),
-            annotations: self.annotations,
-            stand_ins: self.stand_ins,
+            prompt: self.prompt,
+            generator: self.generator,
+            maps: self.maps,
+            substitutes: self.substitutes,
             rasterizer: self.rasterizer,
             opener: Arc::default(),
         })

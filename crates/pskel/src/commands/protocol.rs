@@ -20,19 +20,22 @@ use point_skeleton::scene::{SelectionOptions, SubstituteOptions};
 use point_skeleton::skeleton;
 use pskel_eval::protocol::{Clip, Part, PartRollouts, Protocol, ProtocolReport, check_settings};
 use pskel_generate::{CopiedLog, DatasetCopy, DenoiserRig};
-use pskel_network::NetworkName;
 use pskel_sim::report::ROLLOUT;
 use pskel_sim::rollout::{self, InputPaths, RolloutInputs};
 use pskel_sim::{Rates, Scenario};
 use serde::Serialize;
 use serde_json::Value;
 
-use super::simulate::{self, ClipArgs, GenerationArgs, SimulateArgs};
+use super::simulate::{self, ClipArgs, SimulateArgs};
 use crate::args::generator::GeneratorArgs;
 use crate::args::log::{self, LogRoots};
 use crate::args::maps::MapArgs;
 use crate::args::names::names;
+use crate::args::outputs::{self, FolderArgs};
+use crate::args::prompt::PromptArgs;
 use crate::args::rasterizer::RasterizerArgs;
+use crate::args::rollout::RolloutArgs;
+use crate::args::source::SourceArgs;
 use crate::args::substitutes::SubstituteArgs;
 use crate::progress::Progress;
 use crate::{WrongUsage, logs, say, tell};
@@ -44,6 +47,7 @@ use crate::{WrongUsage, logs, say, tell};
 /// Finished rollouts are retained and others resumed, so the same command continues an interrupted run. Logs
 /// that fail are reported at the end.
 #[derive(Debug, Args)]
+#[command(mut_arg("generator", |arg| arg.default_value("network")))]
 pub(crate) struct ProtocolArgs {
     /// Protocol
     #[arg(value_parser = names::<Protocol>())]
@@ -55,11 +59,10 @@ pub(crate) struct ProtocolArgs {
     #[command(flatten)]
     roots: LogRoots,
     /// Folder of skeletons, one per recording and named after it; those that do not exist are built
-    #[arg(long, value_name = "DIR", value_parser = log::output_folder())]
+    #[arg(long, value_name = "DIR", value_parser = outputs::output_folder())]
     skeletons: PathBuf,
-    /// Folder to write
-    #[arg(long, value_name = "DIR", value_parser = log::output_folder())]
-    out: PathBuf,
+    #[command(flatten)]
+    folder: FolderArgs,
     /// Parts of the protocol [default: all]
     #[arg(long, value_name = "PART,..", value_delimiter = ',')]
     parts: Vec<String>,
@@ -69,22 +72,16 @@ pub(crate) struct ProtocolArgs {
     /// At most this number of clips per recording and part [default: all]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
     clips: Option<u16>,
-    /// Network: network (shipped with the program), network:FILE with weights of `pskel train`, fill (no
-    /// network: holes filled), or process:COMMAND, process:unix:PATH or process:tcp:HOST:PORT
-    /// (docs/src/reference/denoiser.md)
-    #[arg(long, value_name = "NETWORK", default_value = "network")]
-    generator: NetworkName,
+    #[command(flatten)]
+    prompt: PromptArgs,
+    #[command(flatten)]
+    generator: GeneratorArgs,
     #[command(flatten)]
     maps: MapArgs,
-    /// Annotations for the prompt in meta.json: {"weather": "Sunny", "city": "Boston"}, both optional
-    #[arg(long, value_name = "F.json")]
-    annotations: Option<PathBuf>,
     #[command(flatten)]
-    stand_ins: SubstituteArgs,
+    substitutes: SubstituteArgs,
     #[command(flatten)]
     rasterizer: RasterizerArgs,
-    #[command(flatten, next_help_heading = "Options of the generator")]
-    generating: GeneratorArgs,
 }
 
 /// Content of `protocol.json`: options that all rollouts of the folder share.
@@ -127,14 +124,14 @@ struct Run<'a> {
 /// Runs the command: generates and scores the clips, writes the table.
 pub(crate) fn run(args: &ProtocolArgs) -> anyhow::Result<()> {
     let start = Instant::now();
-    args.generating.check(Some(&args.generator))?;
+    args.generator.check()?;
     args.maps.check()?;
     let parts = args.parts()?;
     let opener = Arc::default();
     let logs = args.logs(&opener)?;
     let copied = parts.iter().find(|part| part.copies_dataset);
     copied.map_or(Ok(()), |part| check_one_dataset(part, &logs))?;
-    let files = OutputFolder::open(&args.out, "protocol", &args.inputs(&logs))?;
+    let files = OutputFolder::open(&args.folder.out, "protocol", &args.inputs(&logs))?;
     files.check(FILES)?;
     let dataset = files.folder("dataset")?;
     let copy = copied.map(|_| DatasetCopy::open(&logs[0].path, &dataset, None)).transpose()?;
@@ -158,7 +155,7 @@ pub(crate) fn run(args: &ProtocolArgs) -> anyhow::Result<()> {
     files.close()?;
     let (count, seconds) = (logs.len(), start.elapsed().as_secs_f64());
     let plural = if count == 1 { "" } else { "s" };
-    say(&format!("{count} recording{plural} in {seconds:.2} s: {}", args.out.display()));
+    say(&format!("{count} recording{plural} in {seconds:.2} s: {}", args.folder.out.display()));
     anyhow::ensure!(failures == 0, "expected rollouts of every recording, found {failures} that failed");
     Ok(())
 }
@@ -168,14 +165,9 @@ impl ProtocolArgs {
     fn inputs(&self, logs: &[LogLocator]) -> Inputs {
         let log_paths = logs.iter().flat_map(LogLocator::inputs);
         Inputs::new(log_paths)
-            .and(&self.annotations)
-            .and(self.generating.inputs())
-            .and(self.stand_ins.inputs())
-    }
-
-    /// Reads the parts of the prompt.
-    fn prompt(&self) -> Result<PromptParts, FileError> {
-        self.annotations.as_deref().map_or(Ok(PromptParts::default()), PromptParts::read)
+            .and(&self.prompt.annotations)
+            .and(self.generator.inputs())
+            .and(self.substitutes.inputs())
     }
 
     /// Returns the selected parts, in order.
@@ -230,18 +222,18 @@ impl ProtocolArgs {
         let first = logs.first().context("expected a recording, found none")?;
         let log = logs::open_by(first, opener)?;
         let rates = Rates::of(first.format);
-        let opened =
-            self.generating.open(&self.generator, &DenoiserRig::of(log.recording(), rates.plan_hz))?;
+        let opened = self.generator.open(&DenoiserRig::of(log.recording(), rates.plan_hz))?;
+        let opened = opened.context("expected a network for --generator, found none")?;
         let settings = serde_json::to_value(Settings {
             protocol: self.protocol.name(),
             generator: serde_json::to_value(opened.report())?,
             maps: self.maps.conditions(self.maps.maps.unwrap_or_default()),
             selection: self.maps.selection(),
             format: self.maps.format,
-            substitutes: self.stand_ins.options(),
-            library: self.stand_ins.options().fingerprint()?,
-            prompt: self.prompt()?,
-            captions: self.generating.all_captions()?,
+            substitutes: self.substitutes.options(),
+            library: self.substitutes.options().fingerprint()?,
+            prompt: self.prompt.read()?,
+            captions: self.generator.all_captions()?,
         })?;
         let path = files.claim("protocol.json")?;
         check_settings(&path, &settings)?;
@@ -265,9 +257,12 @@ impl Run<'_> {
         let limit = self.args.clips.map_or(usize::MAX, usize::from);
         let rates = Rates::of(locator.format);
         let scenario = Scenario { log, map: source.require_map()?, rates };
-        let paths =
-            InputPaths { log: &locator.path, skeleton: &skeleton, prompt: self.args.annotations.as_deref() };
-        let prompt = &self.args.prompt()?;
+        let paths = InputPaths {
+            log: &locator.path,
+            skeleton: &skeleton,
+            prompt: self.args.prompt.annotations.as_deref(),
+        };
+        let prompt = &self.args.prompt.read()?;
         let inputs = RolloutInputs { scenario: &scenario, skeleton: &built, prompt, paths };
         let mut done = Vec::new();
         for (place, PartRollouts { part, .. }) in self.parts.iter().enumerate() {
@@ -306,27 +301,28 @@ impl Run<'_> {
         out: &Path,
     ) -> anyhow::Result<()> {
         let args = self.args;
-        let generation =
-            GenerationArgs { generator: Some(args.generator.clone()), options: args.generating.clone() };
         let summary = simulate::rollout(SimulateArgs::of_clip(ClipArgs {
-            log: locator.clone(),
-            roots: args.roots.clone(),
-            skeleton: skeleton.to_owned(),
-            out: out.to_owned(),
-            generation,
-            steps: clip.steps(),
+            source: SourceArgs {
+                log: locator.clone(),
+                skeleton: skeleton.to_owned(),
+                roots: args.roots.clone(),
+            },
+            folder: FolderArgs { out: out.to_owned() },
+            rollout: RolloutArgs {
+                steps: Some(clip.steps()),
+                start: Some(clip.start_us),
+                resume: is_there(&out.join(ROLLOUT))?,
+                ..RolloutArgs::default()
+            },
             clock: Some(clip.clock),
             ego: part.ego.kind(),
             least_warmup: true,
-            start: Some(clip.start_us),
             ego_offset: None,
-            maps: args.maps.clone(),
-            resume: is_there(&out.join(ROLLOUT))?,
-            resume_from: None,
-            profile: None,
             copies_dataset: false,
-            annotations: args.annotations.clone(),
-            stand_ins: args.stand_ins.clone(),
+            prompt: args.prompt.clone(),
+            generator: args.generator.clone(),
+            maps: args.maps.clone(),
+            substitutes: args.substitutes.clone(),
             rasterizer: args.rasterizer.clone(),
             opener: Arc::clone(&self.opener),
         }))?;
@@ -341,7 +337,7 @@ impl Run<'_> {
         let mut on_step =
             |name: &str| progress.borrow_mut().iter_mut().for_each(|progress| progress.step(name));
         let (protocol, parts) = (self.args.protocol, &self.parts);
-        let rollouts = (self.args.out.as_path(), parts.as_slice());
+        let rollouts = (self.args.folder.out.as_path(), parts.as_slice());
         let report = ProtocolReport::score(protocol, &self.logs, rollouts, &mut on_start, &mut on_step)?;
         drop(progress);
         write_json(&self.files.claim("results.json")?, &report)?;

@@ -5,13 +5,14 @@ use clap::Args;
 use point_skeleton::cloud;
 use point_skeleton::conditions::write::npz;
 use point_skeleton::conditions::{
-    ConditionOptions, ConditionSet, ImageSize, MapKind, MapSet, check_memory, render_views,
+    ConditionOptions, ConditionSet, MapKind, MapSet, check_memory, render_views,
 };
 use point_skeleton::files::{Inputs, OutputFile};
-use point_skeleton::raster::{Instance, SplatSchedule};
+use point_skeleton::raster::Instance;
 use point_skeleton::scene::SceneInstances;
 
 use crate::args::rasterizer::RasterizerArgs;
+use crate::args::size::SizeArgs;
 use crate::progress::Progress;
 use crate::{say, tell_notes};
 
@@ -29,16 +30,11 @@ pub(crate) struct SplatArgs {
     /// Cameras: {"cameras": [{"name", "width", "height", "intrinsics": 3x3, "camera_from_world": 4x4}]}
     #[arg(long, value_name = "C.json")]
     cameras: PathBuf,
-    /// Splat radius by depth: up to Z meters a point covers (2R+1) x (2R+1) pixels; points beyond the last Z
-    /// are culled
-    #[arg(long, value_name = "Z:R,..", default_value_t)]
-    splat: SplatSchedule,
     /// Archive to write
     #[arg(long, value_name = "F.npz")]
     out: PathBuf,
-    /// Reduce all maps to this size (color bilinear, all others nearest) [default: the size of the cameras]
-    #[arg(long, value_name = "HxW")]
-    out_size: Option<ImageSize>,
+    #[command(flatten)]
+    size: SizeArgs,
     #[command(flatten)]
     rasterizer: RasterizerArgs,
 }
@@ -55,12 +51,7 @@ pub(crate) fn run(args: SplatArgs) -> anyhow::Result<()> {
     let instance = Instance { cloud: 0, world_from_local: cloud.world_from_local(), number: 0 };
     let clouds = SceneInstances { color: vec![instance], geometry: vec![instance] };
     let maps = [MapKind::Color, MapKind::Depth, MapKind::Class, MapKind::Point];
-    let options = ConditionOptions {
-        maps: MapSet::of(&maps),
-        splat: args.splat,
-        out_size: args.out_size,
-        ..ConditionOptions::default()
-    };
+    let options = ConditionOptions { maps: MapSet::of(&maps), ..args.size.conditions() };
     check_memory(&views, &options, false)?;
     let mut set = ConditionSet::default();
     let mut progress = Progress::new(views.len());

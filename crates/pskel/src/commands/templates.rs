@@ -5,16 +5,16 @@ use std::time::Instant;
 use anyhow::Context;
 use clap::Args;
 use point_skeleton::Log;
-use point_skeleton::cloud::Point;
 use point_skeleton::conditions::view::template_preview;
 use point_skeleton::dataset::{self, LogLocator, expand};
 use point_skeleton::files::Inputs;
 use point_skeleton::skeleton::{
-    self, Asset, BuildError, BuildInput, BuildOptions, BuildRun, Instances, LogSource, Skeleton,
-    TemplateCloud, TemplateLibrary, TemplateOptions, TemplateReport,
+    self, BuildError, BuildInput, BuildOptions, BuildRun, Instances, LogSource, Skeleton, TemplateLibrary,
+    TemplateOptions, TemplateReport,
 };
 
-use crate::args::log::{self, LogRoots};
+use crate::args::log::LogRoots;
+use crate::args::outputs::FolderArgs;
 use crate::logs;
 use crate::progress::{Progress, StageProgress};
 use crate::say;
@@ -33,16 +33,15 @@ pub(crate) struct TemplatesArgs {
     #[arg(required = true, value_name = "LOG|SKELETON")]
     targets: Vec<Target>,
     #[command(flatten)]
-    roots: LogRoots,
-    /// Folder to write
-    #[arg(long, value_name = "DIR", value_parser = log::output_folder())]
-    out: PathBuf,
+    folder: FolderArgs,
     /// Approximate number of points of a template whose box is fully covered
     #[arg(long, value_name = "N", default_value_t = TemplateOptions::default().target_points)]
     target_points: usize,
     /// Omit templates with fewer points
     #[arg(long, value_name = "N", default_value_t = TemplateOptions::default().min_points)]
     min_points: usize,
+    #[command(flatten)]
+    roots: LogRoots,
 }
 
 /// Source of actors.
@@ -71,7 +70,7 @@ pub(crate) fn run(args: &TemplatesArgs) -> anyhow::Result<()> {
         Target::Skeleton(path) => vec![path.clone()],
         Target::Log(log) => args.roots.locate(log).inputs().map(Path::to_path_buf).collect(),
     });
-    let target = TemplateLibrary::target(&args.out, &Inputs::new(inputs))?;
+    let target = TemplateLibrary::target(&args.folder.out, &Inputs::new(inputs))?;
     let options = TemplateOptions {
         target_points: args.target_points,
         min_points: args.min_points,
@@ -80,7 +79,7 @@ pub(crate) fn run(args: &TemplatesArgs) -> anyhow::Result<()> {
     let mut instances = Instances::new(options);
     let sources = read(args, &mut instances, target.scratch())?;
     let made = instances.templates();
-    let found = told(&made.1);
+    let found = described(&made.1);
     anyhow::ensure!(!made.0.is_empty(), "expected actors with points enough for a template, found {found}");
     let library = TemplateLibrary::new(sources, options, made);
     library.write(target, |folder| template_preview::write_all(folder, &library.clouds))?;
@@ -88,7 +87,7 @@ pub(crate) fn run(args: &TemplatesArgs) -> anyhow::Result<()> {
     let seconds = start.elapsed().as_secs_f64();
     say(&format!(
         "made {count} templates from {logs} logs: {found} in {seconds:.2} s: {}",
-        args.out.display()
+        args.folder.out.display()
     ));
     Ok(())
 }
@@ -130,15 +129,12 @@ fn build(out: &Path, log: &Log) -> Result<Skeleton, BuildError> {
     })
 }
 
-/// Creates templates of a skeleton's own actors, and a text for the summary.
-pub(crate) fn of_assets(assets: &[(&Asset, &[Point])]) -> (Vec<TemplateCloud>, String) {
-    let mut instances = Instances::new(TemplateOptions::default());
-    instances.add(assets);
-    let (clouds, report) = instances.templates();
-    (clouds, format!("; templates of its actors: {}", told(&report)))
+/// Returns a text on templates of a skeleton's own actors for a summary.
+pub(crate) fn of_actors(report: &TemplateReport) -> String {
+    format!("; templates of its actors: {}", described(report))
 }
 
-fn told(report: &TemplateReport) -> String {
+fn described(report: &TemplateReport) -> String {
     let made = report.templates.iter().filter(|t| t.points > 0);
     let made = made.map(|t| format!("{} ({} points of {} actors)", t.kind.name(), t.points, t.instances));
     let left = report.notes.iter().map(|(reason, count)| format!("left out {count} {reason}"));

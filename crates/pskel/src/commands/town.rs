@@ -1,17 +1,14 @@
 //! `pskel town`: writes the synthetic town as a data set in nuScenes layout.
 
-use std::path::PathBuf;
 use std::sync::Mutex;
 use std::time::Instant;
 
 use clap::Args;
-use point_skeleton::conditions::ImageSize;
 use point_skeleton::dataset::{LogReader, Recording};
 use point_skeleton::files::{Inputs, WholeFolder};
-use pskel_town::{Daylight, Town, TownOptions, WriteError};
+use pskel_town::{Town, TownOptions, WriteError};
 
-use crate::args::names::names;
-use crate::args::{log, numbers};
+use crate::args::outputs::FolderArgs;
 use crate::progress::Progress;
 use crate::{WrongUsage, say};
 
@@ -22,50 +19,25 @@ use crate::{WrongUsage, say};
 /// without files is the log town:seed=S,frames=N.
 #[derive(Debug, Args)]
 pub(crate) struct TownArgs {
-    /// Seed of the town and of the recorded drive
-    #[arg(long, default_value_t = TownOptions::default().seed)]
-    seed: u64,
-    /// Number of annotated frames
-    #[arg(long, value_name = "N", default_value_t = TownOptions::default().frames)]
-    frames: usize,
-    /// Folder to write; an older town in it is replaced once the new one is complete
-    #[arg(long, value_name = "DIR", value_parser = log::output_folder())]
-    out: PathBuf,
-    /// Annotated frames per second
-    #[arg(long, value_name = "F", default_value_t = TownOptions::default().hz,
-        value_parser = numbers::rate_hz)]
-    hz: f64,
-    /// LiDAR beams: 32 or 64
-    #[arg(long, value_name = "N", default_value_t = TownOptions::default().beams)]
-    beams: u16,
-    /// LiDAR rotations per second: 10 or 20
-    #[arg(long, value_name = "F", default_value_t = TownOptions::default().lidar_hz,
-        value_parser = numbers::rate_hz)]
-    lidar_hz: f64,
-    /// Size of the images
-    #[arg(long, value_name = "HxW", default_value_t = default_size())]
-    size: ImageSize,
-    /// Daylight [default: chosen by the seed]
-    #[arg(long, value_name = "LIGHT", value_parser = names::<Daylight>())]
-    light: Option<Daylight>,
+    /// Options of the town, all optional: seed, frames (annotated ones), hz (annotated frames per second), beams
+    /// of the LiDAR (32 or 64), lidar_hz (rotations per second, 10 or 20), size of the images, light (day,
+    /// dusk or overcast)
+    #[arg(value_name = "seed=7,frames=40,..", default_value_t, hide_default_value = true)]
+    options: TownOptions,
+    #[command(flatten)]
+    folder: FolderArgs,
     /// Also write the ground truth of every image: truth/FRAME/CAM/depth.exr (meters), class.png and
     /// instance.png, with the numbers of that frame's maps
     #[arg(long)]
     truth: bool,
 }
 
-fn default_size() -> ImageSize {
-    let [height, width] = TownOptions::default().size;
-    ImageSize { height, width }
-}
-
 /// Runs the command: generates and writes the town.
 pub(crate) fn run(args: &TownArgs) -> anyhow::Result<()> {
     let start = Instant::now();
-    let options = args.options();
-    options.check().map_err(|error| WrongUsage(error.to_string()))?;
-    let out = WholeFolder::open(&args.out, "town", &Inputs::default())?;
-    let town = Town::new(&options)?;
+    args.options.check().map_err(|error| WrongUsage(error.to_string()))?;
+    let out = WholeFolder::open(&args.folder.out, "town", &Inputs::default())?;
+    let town = Town::new(&args.options)?;
     out.write(|folder| {
         let progress = Mutex::new(Progress::new(town.recording().frames.len()));
         let frame_done = |index: usize| {
@@ -83,23 +55,9 @@ pub(crate) fn run(args: &TownArgs) -> anyhow::Result<()> {
         "{} in {:.2} s: {}",
         summary(town.recording()),
         start.elapsed().as_secs_f64(),
-        args.out.display()
+        args.folder.out.display()
     ));
     Ok(())
-}
-
-impl TownArgs {
-    fn options(&self) -> TownOptions {
-        TownOptions {
-            seed: self.seed,
-            frames: self.frames,
-            hz: self.hz,
-            lidar_hz: self.lidar_hz,
-            beams: self.beams,
-            size: [self.size.height, self.size.width],
-            daylight: self.light,
-        }
-    }
 }
 
 fn summary(log: &Recording) -> String {

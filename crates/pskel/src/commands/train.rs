@@ -16,6 +16,7 @@ use pskel_network::train::{
 
 use crate::args::log::{self, LogRoots};
 use crate::args::numbers;
+use crate::args::outputs::FolderArgs;
 use crate::args::rasterizer::RasterizerArgs;
 use crate::progress::Progress;
 use crate::{WrongUsage, logs, say};
@@ -39,9 +40,8 @@ pub(crate) struct TrainArgs {
     /// Train without every N-th frame, for a comparison with these: frames N - 1, 2 N - 1, ..
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(2..))]
     hold_out: Option<u16>,
-    /// Folder to write
-    #[arg(long, value_name = "DIR", value_parser = log::output_folder())]
-    out: PathBuf,
+    #[command(flatten)]
+    folder: FolderArgs,
     /// Folder of training clips; missing ones are recorded [default: DIR/drives]
     #[arg(long, value_name = "DIR")]
     drives: Option<PathBuf>,
@@ -93,8 +93,8 @@ pub(crate) fn run(args: &TrainArgs) -> anyhow::Result<()> {
     };
     config.check()?;
     TrainOptions { steps: args.steps.max(1), ..options }.check(&config)?;
-    let drives = args.drives.clone().map_or_else(|| own_folder(&args.out, "drives"), Ok)?;
-    if args.steps > 0 && is_one_file(&args.out, &drives) {
+    let drives = args.drives.clone().map_or_else(|| own_folder(&args.folder.out, "drives"), Ok)?;
+    if args.steps > 0 && is_one_file(&args.folder.out, &drives) {
         let message = format!("expected two folders for --out and --drives, found {}", drives.display());
         return Err(WrongUsage(message).into());
     }
@@ -108,7 +108,7 @@ pub(crate) fn run(args: &TrainArgs) -> anyhow::Result<()> {
     recorder.check()?;
     let files =
         RunOptions { checkpoint_steps: args.checkpoint, resume: args.resume, command: args.command() };
-    let folder = (args.steps > 0).then(|| TrainingFolder::open(&args.out, &read)).transpose()?;
+    let folder = (args.steps > 0).then(|| TrainingFolder::open(&args.folder.out, &read)).transpose()?;
     if let Some(folder) = &folder {
         folder.check(&config, &options, &files)?;
         args.check_frames(config.frames)?;

@@ -2,17 +2,19 @@ use std::path::PathBuf;
 
 use clap::Args;
 use point_skeleton::cloud;
-use point_skeleton::conditions::{ConditionOptions, ImageSize, MapKind, MapSet};
+use point_skeleton::conditions::{ConditionOptions, MapKind, MapSet};
 use point_skeleton::dataset::LogLocator;
 use point_skeleton::files::Inputs;
-use point_skeleton::raster::{FRAMES_IN_FLIGHT, SplatSchedule};
+use point_skeleton::raster::FRAMES_IN_FLIGHT;
 use point_skeleton::scene::SubstituteOptions;
 use pskel_eval::bench::{BenchOptions, Workload};
 
-use crate::args::numbers::{self, FrameRange};
+use crate::args::frames::FrameArgs;
 use crate::args::rasterizer::RasterizerArgs;
+use crate::args::size::SizeArgs;
+use crate::args::source::open_skeleton;
 use crate::args::substitutes::SubstituteArgs;
-use crate::args::{log, skeletons};
+use crate::args::{log, numbers};
 use crate::{WrongUsage, logs, tell, tell_notes, warn};
 
 /// Measure rendering speed: time per frame and per stage, points per second, peak memory
@@ -21,45 +23,30 @@ use crate::{WrongUsage, logs, tell, tell_notes, warn};
 /// resident. The workload is a synthetic street, a file of points, or the frames of a recording with its
 /// skeleton.
 #[derive(Debug, Args)]
+#[command(mut_arg("frames", |arg| arg.requires("log")))]
 pub(crate) struct BenchArgs {
     /// Recording whose frames are rendered in turn: FORMAT:PATH[@VERSION][#SCENE], like
     /// nuscenes:/data/nuscenes#scene-0061
-    #[arg(value_parser = log::log, requires = "skeleton", conflicts_with_all = ["synthetic", "seed",
-        "points", "cameras"])]
+    #[arg(value_parser = log::log, requires = "skeleton", conflicts_with_all = ["synthetic", "points", "cameras"])]
     log: Option<LogLocator>,
     /// Skeleton that was built from the recording
     #[arg(long, value_name = "SKEL", requires = "log")]
     skeleton: Option<PathBuf>,
-    /// Range of frames of the recording, numbered from 0 in log order, B excluded [default: all]
-    #[arg(long, value_name = "A..B", requires = "log")]
-    frames: Option<FrameRange>,
     #[command(flatten)]
-    stand_ins: SubstituteArgs,
+    frames: FrameArgs,
     /// Number of points of a synthetic street with six cameras of 900x1600, like 4000000 or 4e6; the default
     /// workload [default: 4e6]
     #[arg(long, value_name = "N", value_parser = numbers::points, conflicts_with_all = ["points", "cameras"])]
     #[arg(allow_negative_numbers = true)]
     synthetic: Option<usize>,
-    /// Seed of the synthetic street
-    #[arg(long, value_name = "S", default_value = "1", conflicts_with_all = ["points", "cameras"])]
-    #[arg(allow_negative_numbers = true)]
-    seed: u64,
     /// Points: NPY, floats Nx6 (x y z r g b, colors 0-255) or Nx7 with the class last; or PLY
     #[arg(long, value_name = "P.npy|P.ply", requires = "cameras")]
     pub(super) points: Option<PathBuf>,
     /// Cameras: {"cameras": [{"name", "width", "height", "intrinsics": 3x3, "camera_from_world": 4x4}]}
     #[arg(long, value_name = "C.json", requires = "points")]
     pub(super) cameras: Option<PathBuf>,
-    /// Render at this size; scales the intrinsics [default: the size of the cameras]
-    #[arg(long, value_name = "HxW")]
-    size: Option<ImageSize>,
-    /// Reduce the maps to this size after rendering [default: no reduction]
-    #[arg(long, value_name = "HxW")]
-    out_size: Option<ImageSize>,
-    /// Splat radius by depth: up to Z meters a point covers (2R+1) x (2R+1) pixels; points beyond the last Z
-    /// are culled
-    #[arg(long, value_name = "Z:R,..", default_value_t)]
-    splat: SplatSchedule,
+    #[command(flatten)]
+    size: SizeArgs,
     /// Maps to render: color, depth, class, instance, and point (point numbers); with boxes, map (the
     /// recording's HD map) or tensor a frame is a whole step: instance selection, rendering, layouts, and
     /// network inputs
@@ -77,18 +64,22 @@ pub(crate) struct BenchArgs {
     #[arg(long, value_name = "1|2", default_value = "1")]
     #[arg(value_parser = clap::value_parser!(u32).range(1..=FRAMES_IN_FLIGHT as i64))]
     pub(super) in_flight: u32,
-    #[command(flatten)]
-    rasterizer: RasterizerArgs,
     /// Print one JSON object instead of the table
     #[arg(long)]
     pub(super) json: bool,
     /// Write a trace of all timed frames and their stages for chrome://tracing or ui.perfetto.dev
     #[arg(long, value_name = "F.json")]
     pub(super) trace: Option<PathBuf>,
+    #[command(flatten)]
+    substitutes: SubstituteArgs,
+    #[command(flatten)]
+    rasterizer: RasterizerArgs,
 }
 
 /// Default number of points of the synthetic street.
 const DEFAULT_POINTS: usize = 4_000_000;
+/// Seed of the synthetic street.
+const STREET_SEED: u64 = 1;
 /// Default number of timed frames for workloads other than recordings.
 const DEFAULT_FRAMES: u32 = 20;
 
@@ -97,10 +88,10 @@ impl BenchArgs {
     pub(super) fn check(&self) -> Result<(), WrongUsage> {
         if BenchOptions::has_whole_steps(self.maps) && self.log.is_none() {
             let maps: Vec<&str> = self.maps.iter().map(MapKind::name).collect();
-            let expected = "expected a drive, or --maps out of color,depth,class,instance,point";
+            let expected = "expected a recording, or --maps out of color,depth,class,instance,point";
             return Err(WrongUsage(format!("{expected}, found {}", maps.join(","))));
         }
-        if self.stand_ins.options() != SubstituteOptions::default() && self.log.is_none() {
+        if self.substitutes.options() != SubstituteOptions::default() && self.log.is_none() {
             let expected = "expected a recording with --templates, --no-default-templates or --augment";
             return Err(WrongUsage(format!("{expected}, found none")));
         }
@@ -111,7 +102,7 @@ impl BenchArgs {
     pub(super) fn inputs(&self) -> Inputs {
         let files = [&self.skeleton, &self.points, &self.cameras].into_iter().flatten();
         let log = self.log.iter().flat_map(LogLocator::inputs);
-        Inputs::new(files).and(log).and(self.stand_ins.inputs())
+        Inputs::new(files).and(log).and(self.substitutes.inputs())
     }
 
     /// Generates or loads the workload that the options select.
@@ -119,9 +110,9 @@ impl BenchArgs {
         match (&self.log, &self.skeleton, &self.points, &self.cameras) {
             (Some(log), Some(skeleton), ..) => {
                 let log = logs::open(log)?;
-                let skeleton = skeletons::open_for(skeleton, log.recording())?;
-                let range = FrameRange::of(self.frames, log.recording().frames.len())?;
-                let (substitutes, _) = self.stand_ins.options().make(&skeleton, log.name())?;
+                let skeleton = open_skeleton(skeleton, log.recording())?;
+                let range = self.frames.of(log.recording().frames.len())?;
+                let (substitutes, _) = self.substitutes.options().make(&skeleton, log.name())?;
                 let workload = Workload::log(&log, skeleton, substitutes, range, self.maps)?;
                 if workload.skipped() > 0 {
                     warn(&format!("{} frames have no cameras and are left out", workload.skipped()));
@@ -137,7 +128,7 @@ impl BenchArgs {
             _ => {
                 let count = self.synthetic.unwrap_or(DEFAULT_POINTS);
                 tell(&format!("making a street of {count} points"));
-                Ok(Workload::street(count, self.seed)?)
+                Ok(Workload::street(count, STREET_SEED)?)
             }
         }
     }
@@ -147,13 +138,7 @@ impl BenchArgs {
         let repeat = self.repeat.unwrap_or(if self.log.is_some() { 1 } else { DEFAULT_FRAMES });
         Ok(BenchOptions {
             rasterizer: self.rasterizer.desc()?,
-            conditions: ConditionOptions {
-                maps: self.maps,
-                splat: self.splat.clone(),
-                size: self.size,
-                out_size: self.out_size,
-                ..ConditionOptions::default()
-            },
+            conditions: ConditionOptions { maps: self.maps, ..self.size.conditions() },
             warm_up: self.warm_up as usize,
             repeat: repeat as usize,
             in_flight: self.in_flight as usize,

@@ -2,16 +2,19 @@ use std::path::PathBuf;
 
 use clap::Args;
 use point_skeleton::conditions::{ConditionOptions, MapFormat, MapSet};
-use point_skeleton::dataset::{LogLocator, Recording};
+use point_skeleton::dataset::Recording;
 use point_skeleton::files::Inputs;
 use point_skeleton::scene::{EgoOffset, LogTimes, SelectionOptions, SubstituteReport};
 use serde::Serialize;
 
 use crate::WrongUsage;
-use crate::args::log::{self, LogRoots};
+use crate::args::frames::{FrameArgs, MovedEgoArgs};
 use crate::args::maps::MapArgs;
-use crate::args::numbers::{self, FrameRange};
+use crate::args::numbers;
+use crate::args::outputs::FolderArgs;
+use crate::args::prompt::PromptArgs;
 use crate::args::rasterizer::RasterizerArgs;
+use crate::args::source::SourceArgs;
 use crate::args::substitutes::SubstituteArgs;
 
 /// Render condition maps of a recording's frames from its skeleton: color, depth, class, instance, boxes, map
@@ -22,20 +25,12 @@ use crate::args::substitutes::SubstituteArgs;
 /// index.json. FRAME is the six-digit frame number, or the time with --at and --hz.
 #[derive(Debug, Args)]
 pub(crate) struct RenderArgs {
-    /// Recording: FORMAT:PATH[@VERSION][#SCENE], like nuscenes:/data/nuscenes@v1.0-mini#scene-0061
-    #[arg(value_parser = log::log)]
-    pub(super) log: LogLocator,
     #[command(flatten)]
-    pub(super) roots: LogRoots,
-    /// Skeleton that was built from the recording
-    #[arg(long, value_name = "SKEL")]
-    pub(super) skeleton: PathBuf,
-    /// Folder to write; frames of an earlier run in it are replaced one by one
-    #[arg(long, value_name = "DIR", value_parser = log::output_folder())]
-    pub(super) out: PathBuf,
-    /// Range of frames, numbered from 0 in log order, B excluded [default: all]
-    #[arg(long, value_name = "A..B")]
-    pub(super) frames: Option<FrameRange>,
+    pub(super) source: SourceArgs,
+    #[command(flatten)]
+    pub(super) folder: FolderArgs,
+    #[command(flatten)]
+    pub(super) frames: FrameArgs,
     /// Render at these times within the log instead of at frames, absolute microseconds; ego and actors are
     /// interpolated
     #[arg(long, value_name = "T_US,..", value_delimiter = ',', allow_hyphen_values = true)]
@@ -46,30 +41,26 @@ pub(crate) struct RenderArgs {
     #[arg(long, value_name = "F", value_parser = numbers::rate_hz, allow_negative_numbers = true)]
     #[arg(conflicts_with = "at")]
     pub(super) hz: Option<f64>,
-    #[command(flatten)]
-    pub(super) maps: MapArgs,
     /// Also write FRAME/birdseye.png: bird's-eye view of 100 x 100 m around the ego, with HD map, boxes and
     /// cameras
     #[arg(long)]
     pub(super) birdseye: bool,
-    /// Move the ego in its own frame, like forward_m=1,left_m=-2,yaw_deg=5: meters forward and to the left,
-    /// degrees to the left
-    #[arg(long, value_name = "left_m=M,..")]
-    #[arg(conflicts_with = "cameras")]
-    pub(super) ego_offset: Option<EgoOffset>,
+    #[command(flatten)]
+    pub(super) moved: MovedEgoArgs,
     /// Use these cameras instead of the log's, posed in the log's global frame:
     /// {"cameras": [{"name", "width", "height", "intrinsics": 3x3, "camera_from_world": 4x4}]}
-    #[arg(long, value_name = "C.json")]
+    #[arg(long, value_name = "C.json", conflicts_with = "ego_offset")]
     pub(super) cameras: Option<PathBuf>,
     /// Render with the lens distortion of the recorded cameras; every pixel is the nearest one of a pinhole
     /// image [default: pinhole cameras]
     #[arg(long, conflicts_with = "cameras")]
     pub(super) distort: bool,
-    /// Annotations for the prompt in meta.json: {"weather": "Sunny", "city": "Boston"}, both optional
-    #[arg(long, value_name = "F.json")]
-    pub(super) annotations: Option<PathBuf>,
     #[command(flatten)]
-    pub(super) stand_ins: SubstituteArgs,
+    pub(super) prompt: PromptArgs,
+    #[command(flatten)]
+    pub(super) maps: MapArgs,
+    #[command(flatten)]
+    pub(super) substitutes: SubstituteArgs,
     #[command(flatten)]
     pub(super) rasterizer: RasterizerArgs,
 }
@@ -84,7 +75,7 @@ pub(super) struct RenderOptions {
     /// Times per second, unless frames were rendered.
     hz: Option<f64>,
     #[serde(flatten)]
-    stand_ins: SubstituteReport,
+    substitutes: SubstituteReport,
     ego_offset: EgoOffset,
     /// `true` if maps have lens distortion.
     distort: bool,
@@ -107,9 +98,8 @@ impl RenderArgs {
 
     /// Returns everything that is read.
     pub(super) fn inputs(&self) -> Inputs {
-        let files = [&self.cameras, &self.annotations].into_iter().flatten();
-        let log = self.roots.locate(&self.log);
-        Inputs::new(log.inputs()).and([&self.skeleton]).and(files).and(self.stand_ins.inputs())
+        let files = [&self.cameras, &self.prompt.annotations].into_iter().flatten();
+        self.source.inputs().and(files).and(self.substitutes.inputs())
     }
 
     /// Returns the maps to render of a log with or without an HD map; `None` if the HD map is requested but
@@ -128,17 +118,17 @@ impl RenderArgs {
         if !self.at.is_empty() {
             return Ok(LogTimes::At(self.at.clone()));
         }
-        let frames = FrameRange::of(self.frames, log.frames.len())?;
+        let frames = self.frames.of(log.frames.len())?;
         Ok(self.hz.map_or(LogTimes::Frames(frames.clone()), |hz| LogTimes::Rate(frames, hz)))
     }
 
-    pub(super) fn options(&self, maps: MapSet, stand_ins: SubstituteReport) -> RenderOptions {
+    pub(super) fn options(&self, maps: MapSet, substitutes: SubstituteReport) -> RenderOptions {
         RenderOptions {
             conditions: self.maps.conditions(maps),
             selection: self.maps.selection(),
             hz: self.hz,
-            stand_ins,
-            ego_offset: self.ego_offset.unwrap_or_default(),
+            substitutes,
+            ego_offset: self.moved.ego_offset.unwrap_or_default(),
             distort: self.distort,
             cameras: self.cameras.clone(),
             format: self.maps.format,

@@ -9,14 +9,13 @@ use std::time::Instant;
 
 use anyhow::Context;
 use point_skeleton::cloud;
-use point_skeleton::conditions::write::meta::{IndexFrame, PromptParts};
+use point_skeleton::conditions::write::meta::IndexFrame;
 use point_skeleton::files::OutputFolder;
 use point_skeleton::raster::Rasterizer;
 use point_skeleton::scene::{SceneSequence, SequenceError, frame_rate_hz};
 use point_skeleton::sequence::SequenceWriter;
 use point_skeleton::{RenderOptions, Renderer};
 
-use crate::args::skeletons;
 use crate::progress::Progress;
 use crate::{WrongUsage, say, warn};
 
@@ -24,7 +23,7 @@ use crate::{WrongUsage, say, warn};
 pub(crate) fn run(args: RenderArgs) -> anyhow::Result<()> {
     let start = Instant::now();
     args.check()?;
-    let source = args.roots.open(&args.log)?;
+    let source = args.source.open()?;
     let log = source.recording();
     for (note, count) in log.notes.iter().filter(|(note, _)| note.contains("camera_distortion")) {
         warn(&format!("{count} {note}"));
@@ -32,9 +31,9 @@ pub(crate) fn run(args: RenderArgs) -> anyhow::Result<()> {
     if args.distort && log.rig.iter().all(|rig| rig.camera.distortion.is_none()) {
         warn(&format!("--distort changes nothing: log {} states no lens distortion", log.shown_name()));
     }
-    let skeleton = skeletons::open_for(&args.skeleton, log)?;
+    let skeleton = args.source.open_skeleton(log)?;
     let views = args.cameras.as_deref().map(cloud::cameras::read).transpose()?;
-    let prompt = args.annotations.as_deref().map_or(Ok(PromptParts::default()), PromptParts::read)?;
+    let prompt = args.prompt.read()?;
     let map = if args.wants_map() { source.require_map()? } else { None };
     let maps = args.maps(map.is_some()).with_context(|| {
         format!(
@@ -43,9 +42,9 @@ pub(crate) fn run(args: RenderArgs) -> anyhow::Result<()> {
             log.shown_name()
         )
     })?;
-    let offset = args.ego_offset.unwrap_or_default();
+    let offset = args.moved.ego_offset.unwrap_or_default();
     let states = SceneSequence::new(log, args.times(log)?, offset, views, map).map_err(usage)?;
-    let (substitutes, substitute_report) = args.stand_ins.options().make(&skeleton, &log.name)?;
+    let (substitutes, substitute_report) = args.substitutes.options().make(&skeleton, &log.name)?;
     let options = args.options(maps, substitute_report);
     let mut renderer = Renderer::new(
         &skeleton,
@@ -56,10 +55,11 @@ pub(crate) fn run(args: RenderArgs) -> anyhow::Result<()> {
             substitutes: &substitutes,
             log: Some(&log.name),
             distort: args.distort,
+            optional_map: false,
         },
     )?;
     let writer = SequenceWriter {
-        folder: OutputFolder::open(&args.out, "maps", &args.inputs())?,
+        folder: OutputFolder::open(&args.folder.out, "maps", &args.inputs())?,
         format: args.maps.format,
         bins: &options.conditions.depth_bins,
         prompt: &prompt,
@@ -72,7 +72,7 @@ pub(crate) fn run(args: RenderArgs) -> anyhow::Result<()> {
     drop(progress);
     let summary = summary(&frames, &states.missing_images(), renderer.rasterizer());
     warn_of_times_outside(&frames, skeleton.manifest.times_us(&log.name));
-    say(&format!("{summary} in {:.2} s: {}", start.elapsed().as_secs_f64(), args.out.display()));
+    say(&format!("{summary} in {:.2} s: {}", start.elapsed().as_secs_f64(), args.folder.out.display()));
     Ok(())
 }
 

@@ -6,33 +6,30 @@ use clap::Args;
 use point_skeleton::Log;
 #[cfg(feature = "mcap")]
 use point_skeleton::conditions::MapFormat;
-use point_skeleton::conditions::write::meta::PromptParts;
-use point_skeleton::dataset::{LogLocator, LogOpener, MovedEgo};
+use point_skeleton::dataset::{LogOpener, MovedEgo};
 use point_skeleton::files::{Inputs as InputPaths, OutputFile};
 use point_skeleton::scene::{EgoOffset, SceneMap, frame_rate_hz};
 #[cfg(feature = "network")]
 use pskel_eval::protocol::ClipClock;
 #[cfg(feature = "mcap")]
 use pskel_sim::rollout::MCAP;
-use pskel_sim::rollout::{Profile, ResumeAfter};
+use pskel_sim::rollout::Profile;
 use pskel_sim::{
-    ActorPolicy, EgoKind, EgoPolicy, LocalPath, PathAnchor, PlannerAddress, PlannerSpec, Scenario,
-    SimOptions, Tracking,
+    ActorPolicy, EgoKind, EgoPolicy, LocalPath, PathAnchor, PlannerAddress, PlannerSpec, Scenario, SimOptions,
 };
 
-use super::generation::GenerationArgs;
+use super::generation::GeneratorArgs;
 use super::inputs::Inputs;
 use super::policies::PolicyArgs;
-use crate::args::log::{self, LogRoots};
 use crate::args::maps::MapArgs;
 use crate::args::numbers;
+use crate::args::outputs::{self, FolderArgs};
+use crate::args::prompt::PromptArgs;
 use crate::args::rasterizer::RasterizerArgs;
+use crate::args::rollout::RolloutArgs;
+use crate::args::source::SourceArgs;
 use crate::args::substitutes::SubstituteArgs;
-use crate::args::{outputs, skeletons};
 use crate::{WrongUsage, warn};
-
-/// Number of frames that a generator sees besides the current one.
-const FORECAST_STEPS: usize = 9;
 
 /// Simulate a recording in a closed loop: ego and other actors move by policies, and every step is rendered
 ///
@@ -41,44 +38,24 @@ const FORECAST_STEPS: usize = 9;
 /// rollout.mp4 and index.html, a page that plays the rollout. If a planner fails, all of these are written
 /// for the steps before the failure.
 #[derive(Debug, Args)]
+#[command(mut_arg("steps", |arg| arg.required(true).help("Number of simulation steps; step 0 is the log's. A \
+    replayed ego stops when the log ends. With other policies it drives on: only actors under a policy remain \
+    there, and the skeleton may have no points")))]
 pub(crate) struct SimulateArgs {
-    /// Recording: FORMAT:PATH[@VERSION][#SCENE], like nuscenes:/data/nuscenes@v1.0-mini#scene-0061
-    #[arg(value_parser = log::log)]
-    pub(super) log: LogLocator,
     #[command(flatten)]
-    pub(super) roots: LogRoots,
-    /// Skeleton that was built from the recording
-    #[arg(long, value_name = "SKEL")]
-    pub(super) skeleton: PathBuf,
-    /// Folder to write: a new or empty one, or an earlier rollout, which is replaced
-    #[arg(long, value_name = "DIR", value_parser = log::output_folder())]
-    pub(super) out: PathBuf,
-    /// Number of simulation steps; step 0 is the log's. A replayed ego stops when the log ends. With other
-    /// policies it drives on: only actors under a policy remain there, and the skeleton may have no points
-    #[arg(long, value_name = "N")]
-    pub(super) steps: usize,
+    pub(super) source: SourceArgs,
     #[command(flatten)]
-    policies: PolicyArgs,
+    pub(super) folder: FolderArgs,
     #[command(flatten)]
-    pub(super) maps: MapArgs,
-    /// Also render the forecasts for the next planning steps at each planning step, as
-    /// steps/STEP/forecast/STEP
-    #[arg(long)]
-    forecast_maps: bool,
-    /// With --forecast-maps: number of forecast planning steps, 1 to 100
-    #[arg(long, value_name = "K", default_value_t = FORECAST_STEPS, value_parser = numbers::forecast_steps)]
-    #[arg(requires = "forecast_maps", allow_negative_numbers = true)]
-    forecast: usize,
+    pub(super) rollout: RolloutArgs,
     /// Also write steps/STEP/sheet.png, a contact sheet of all maps
     #[arg(long)]
     pub(super) sheets: bool,
-    /// Continue the rollout in --out after its last step, with the same log, skeleton and options; --steps,
-    /// --planner-timeout, --generator-timeout, --mcap, --profile and the rasterizer may change
-    #[arg(long)]
-    pub(super) resume: bool,
-    /// Continue after this step; later ones are simulated again
-    #[arg(long, value_name = "STEP")]
-    pub(super) resume_from: Option<usize>,
+    /// Also render the forecasts for the next K planning steps (default 9, at most 100) at each planning
+    /// step, as steps/STEP/forecast/STEP
+    #[arg(long, value_name = "K", num_args = 0..=1, default_missing_value = "9")]
+    #[arg(value_parser = numbers::forecast_steps, allow_negative_numbers = true)]
+    forecast_maps: Option<usize>,
     /// Write nothing below --out and only print the times, to measure the loop without output
     #[arg(long, conflicts_with_all = ["resume", "resume_from"])]
     pub(super) dry: bool,
@@ -88,18 +65,18 @@ pub(crate) struct SimulateArgs {
     #[cfg(feature = "mcap")]
     #[arg(long, value_name = "F.mcap")]
     pub(super) mcap: Option<PathBuf>,
-    /// Write the times of all steps and stages to this file
-    #[arg(long, value_name = "F.json")]
-    pub(super) profile: Option<PathBuf>,
-    /// Annotations for the prompt in meta.json: {"weather": "Sunny", "city": "Boston"}, both optional
-    #[arg(long, value_name = "F.json")]
-    pub(super) annotations: Option<PathBuf>,
     #[command(flatten)]
-    pub(super) stand_ins: SubstituteArgs,
+    pub(super) prompt: PromptArgs,
+    #[command(flatten)]
+    policies: PolicyArgs,
+    #[command(flatten)]
+    pub(super) generator: GeneratorArgs,
+    #[command(flatten)]
+    pub(super) maps: MapArgs,
+    #[command(flatten)]
+    pub(super) substitutes: SubstituteArgs,
     #[command(flatten)]
     pub(super) rasterizer: RasterizerArgs,
-    #[command(flatten)]
-    pub(super) generation: GenerationArgs,
     /// Set if steps are frames of the log, until its end at most; used by `pskel generate`.
     #[arg(skip)]
     frames: Option<EveryFrames>,
@@ -129,76 +106,51 @@ pub(super) struct OutputFiles {
 #[derive(Clone, Copy, Debug)]
 struct EveryFrames(Option<usize>);
 
-/// Options for generating a clip of a log.
+/// Options for generating a clip of a log, whose other actors follow the log.
 #[cfg(feature = "network")]
 pub(crate) struct ClipArgs {
-    pub(crate) log: LogLocator,
-    pub(crate) roots: LogRoots,
-    pub(crate) skeleton: PathBuf,
-    pub(crate) out: PathBuf,
-    pub(crate) generation: GenerationArgs,
-    pub(crate) steps: usize,
+    pub(crate) source: SourceArgs,
+    pub(crate) folder: FolderArgs,
+    /// Steps to the end of the log at most, unless the clock has rates.
+    pub(crate) rollout: RolloutArgs,
     /// `None` for the frames of the log, at the default stride.
     pub(crate) clock: Option<ClipClock>,
     pub(crate) ego: EgoKind,
     pub(crate) least_warmup: bool,
-    pub(crate) start: Option<i64>,
     pub(crate) ego_offset: Option<EgoOffset>,
-    pub(crate) maps: MapArgs,
-    pub(crate) resume: bool,
-    pub(crate) resume_from: Option<usize>,
-    pub(crate) profile: Option<PathBuf>,
     /// Whether generated images replace the data set's.
     pub(crate) copies_dataset: bool,
-    pub(crate) annotations: Option<PathBuf>,
-    pub(crate) stand_ins: SubstituteArgs,
+    pub(crate) prompt: PromptArgs,
+    pub(crate) generator: GeneratorArgs,
+    pub(crate) maps: MapArgs,
+    pub(crate) substitutes: SubstituteArgs,
     pub(crate) rasterizer: RasterizerArgs,
     pub(crate) opener: Arc<LogOpener>,
 }
 
 impl SimulateArgs {
     #[cfg(feature = "network")]
-    /// Creates options for generating a clip of a log, whose other actors follow the log.
+    /// Creates options for generating a clip of a log.
     pub(crate) fn of_clip(clip: ClipArgs) -> Self {
         let (frames, rates) = match clip.clock {
             None => (Some(EveryFrames(None)), None),
             Some(ClipClock::Frames(every)) => (Some(EveryFrames(Some(every))), None),
             Some(ClipClock::Rates(rates)) => (None, Some(rates)),
         };
-        let policies = PolicyArgs {
-            ego: clip.ego,
-            trajectory: None,
-            reanchor: false,
-            planner: None,
-            planner_timeout: 10.0,
-            tracking: Tracking::Perfect,
-            actors: ActorPolicy::Replay,
-            sim_hz: rates.map(|rates| rates.sim_hz),
-            plan_hz: rates.map(|rates| rates.plan_hz),
-            warmup: None,
-            start: clip.start,
-            seed: 0,
-        };
         Self {
-            log: clip.log,
-            roots: clip.roots,
-            skeleton: clip.skeleton,
-            out: clip.out,
-            steps: clip.steps,
-            policies,
-            maps: clip.maps,
-            forecast_maps: false,
-            forecast: FORECAST_STEPS,
+            source: clip.source,
+            folder: clip.folder,
+            rollout: clip.rollout,
             sheets: false,
-            resume: clip.resume,
-            resume_from: clip.resume_from,
+            forecast_maps: None,
             dry: false,
             #[cfg(feature = "mcap")]
             mcap: None,
-            profile: clip.profile,
-            annotations: clip.annotations,
-            generation: clip.generation,
-            stand_ins: clip.stand_ins,
+            prompt: clip.prompt,
+            policies: PolicyArgs::of_clip(clip.ego, rates),
+            generator: clip.generator,
+            maps: clip.maps,
+            substitutes: clip.substitutes,
             rasterizer: clip.rasterizer,
             frames,
             ego_offset: clip.ego_offset,
@@ -219,7 +171,7 @@ impl SimulateArgs {
         if let Some((option, _, name)) = unused.into_iter().find(|(_, unused, _)| *unused) {
             return Err(WrongUsage(format!("expected --ego {name} with {option}, found {}", ego.name())));
         }
-        self.generation.check()?;
+        self.generator.check()?;
         self.maps.check()
     }
 
@@ -234,19 +186,18 @@ impl SimulateArgs {
 
     /// Returns everything that is read.
     pub(super) fn input_paths(&self) -> InputPaths {
-        let files = [self.annotations.as_deref(), self.policies.trajectory.as_deref()];
-        let log = self.roots.locate(&self.log);
-        InputPaths::new(log.inputs())
-            .and([&self.skeleton])
+        let files = [self.prompt.annotations.as_deref(), self.policies.trajectory.as_deref()];
+        self.source
+            .inputs()
             .and(files.into_iter().flatten())
-            .and(self.generation.inputs())
-            .and(self.stand_ins.inputs())
+            .and(self.generator.inputs())
+            .and(self.substitutes.inputs())
     }
 
     /// Opens the files besides the output folder that the command writes. `read` is everything that it reads.
     pub(super) fn open_files(&self, read: &InputPaths) -> anyhow::Result<OutputFiles> {
-        let folder = (!self.dry).then_some(self.out.as_path());
-        let profile = ("--profile", self.profile.as_deref(), Profile::KIND);
+        let folder = (!self.dry).then_some(self.folder.out.as_path());
+        let profile = ("--profile", self.rollout.profile.as_deref(), Profile::KIND);
         #[cfg(feature = "mcap")]
         {
             let mcap = ("--mcap", self.mcap.as_deref(), MCAP);
@@ -262,21 +213,21 @@ impl SimulateArgs {
 
     /// Reads the inputs.
     pub(super) fn inputs(&self) -> anyhow::Result<Inputs> {
-        let mut source = self.roots.open_by(&self.log, &self.opener)?;
+        let mut source = self.source.roots.open_by(&self.source.log, &self.opener)?;
         // The skeleton belongs to the recording, where the ego has not moved.
         let unmoved = self.ego_offset.map(|_| source.recording().clone());
         if let Some(offset) = self.ego_offset {
             let moved = MovedEgo::new(source.into_reader(), offset).with_context(|| {
                 format!(
                     "expected a log town:.. with --ego-offset, whose images can be rendered there, found {}",
-                    self.log
+                    self.source.log
                 )
             })?;
             source = Log::new(Box::new(moved));
         }
         let log = source.recording();
-        let skeleton = skeletons::open_for(&self.skeleton, unmoved.as_ref().unwrap_or(log))?;
-        let prompt = self.annotations.as_deref().map_or(Ok(PromptParts::default()), PromptParts::read)?;
+        let skeleton = self.source.open_skeleton(unmoved.as_ref().unwrap_or(log))?;
+        let prompt = self.prompt.read()?;
         let map = self.read_map(&source)?;
         let maps = self.maps.kinds(map.is_some()).with_context(|| {
             format!(
@@ -290,7 +241,7 @@ impl SimulateArgs {
 
     /// Reads the HD map. A damaged one that is not drawn is an error only with `--missing error`.
     fn read_map(&self, log: &Log) -> anyhow::Result<Option<Arc<SceneMap>>> {
-        let is_drawn = self.generation.generates() || !self.dry && self.maps.wants_map();
+        let is_drawn = self.generator.generates() || !self.dry && self.maps.wants_map();
         if is_drawn {
             return Ok(log.require_map()?);
         }
@@ -301,35 +252,30 @@ impl SimulateArgs {
         Ok(map)
     }
 
-    /// Returns the step after which to continue an earlier rollout.
-    pub(super) fn resume_after(&self) -> Option<ResumeAfter> {
-        let step = self.resume_from.map(ResumeAfter::Step);
-        step.or(self.resume.then_some(ResumeAfter::Last))
-    }
-
     /// Returns the number of planning steps to forecast and render at each planning step.
     pub(super) fn forecast_steps(&self) -> usize {
-        if self.forecast_maps { self.forecast } else { 0 }
+        self.forecast_maps.unwrap_or(0)
     }
 
     /// Returns the stride of the frames that are steps, `None` if steps are not frames, and the number of
     /// steps.
     fn frames_of(&self, scenario: &Scenario<'_>) -> anyhow::Result<(Option<usize>, usize)> {
-        let Some(EveryFrames(every)) = self.frames else { return Ok((None, self.steps)) };
+        let wanted = self.rollout.steps.unwrap_or(usize::MAX);
+        let Some(EveryFrames(every)) = self.frames else { return Ok((None, wanted)) };
         let frames = &scenario.log.frames;
         let nearest = || {
             let hz = frame_rate_hz(frames).unwrap_or(scenario.rates.plan_hz);
             (hz / scenario.rates.plan_hz).round().max(1.0) as usize
         };
         let every = every.unwrap_or_else(nearest);
-        let start = self.policies.start.unwrap_or(i64::MIN);
+        let start = self.rollout.start.unwrap_or(i64::MIN);
         let there = frames.iter().filter(|frame| frame.t_us >= start).count();
         anyhow::ensure!(
             there > every,
             "expected more than {every} frames from --start on (--every {every}), found {there} in log {}",
             scenario.log.shown_name()
         );
-        Ok((Some(every), self.steps.min((there - 1) / every)))
+        Ok((Some(every), wanted.min((there - 1) / every)))
     }
 
     /// Returns whether ego and other actors follow the log throughout.
@@ -385,7 +331,7 @@ impl SimulateArgs {
             sim_hz: p.sim_hz,
             plan_hz: p.plan_hz,
             every_frames,
-            start_us: p.start,
+            start_us: self.rollout.start,
             ego,
             tracking: p.tracking,
             actors: p.actors,

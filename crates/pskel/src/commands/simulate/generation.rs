@@ -6,8 +6,8 @@ mod with_network;
 mod without_network;
 
 #[cfg(feature = "network")]
-pub(crate) use with_network::GenerationArgs;
+pub(crate) use with_network::GeneratorArgs;
 #[cfg(feature = "network")]
 pub(super) use with_network::Opened;
 #[cfg(not(feature = "network"))]
-pub(super) use without_network::{GenerationArgs, Opened};
+pub(super) use without_network::{GeneratorArgs, Opened};

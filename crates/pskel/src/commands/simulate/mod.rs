@@ -10,8 +10,6 @@ mod summary;
 #[cfg(feature = "network")]
 pub(crate) use args::ClipArgs;
 pub(crate) use args::SimulateArgs;
-#[cfg(feature = "network")]
-pub(crate) use generation::GenerationArgs;
 
 use std::time::Instant;
 
@@ -51,7 +49,7 @@ pub(crate) fn rollout(args: SimulateArgs) -> anyhow::Result<String> {
     let read = args.input_paths();
     let files = args.open_files(&read)?;
     if !args.dry {
-        check_place(&args.out, &read)?; // before the log is read
+        check_place(&args.folder.out, &read)?; // before the log is read
     }
     if let Some(note) = args.note_on_maps() {
         warn(note);
@@ -59,10 +57,10 @@ pub(crate) fn rollout(args: SimulateArgs) -> anyhow::Result<String> {
     let inputs = args.inputs()?;
     let Inputs { log, skeleton, prompt, map, maps } = &inputs;
     let log = log.recording();
-    let scenario = Scenario { log, map: map.clone(), rates: Rates::of(args.log.format) };
+    let scenario = Scenario { log, map: map.clone(), rates: Rates::of(args.source.log.format) };
     let mut simulation = args.sim_options(&scenario)?;
     let rates = simulation.rates(scenario.rates, log).map_err(|error| usage(error.into()))?;
-    let opened = args.generation.open(log, rates.plan_hz)?;
+    let opened = Opened::open(&args.generator, log, rates.plan_hz)?;
     args.check_steps(simulation.steps, opened.as_ref().map(Opened::window))?;
     simulation.warmup_frames = args.warmup_frames(opened.as_ref().map(Opened::window))?;
     let planned = Planned {
@@ -71,16 +69,19 @@ pub(crate) fn rollout(args: SimulateArgs) -> anyhow::Result<String> {
         actors: simulation.actors.name(),
         is_open_loop: args.is_open_loop(),
     };
-    let (substitutes, substitute_report) = args.stand_ins.options().make(skeleton, &log.name)?;
+    let (substitutes, substitute_report) = args.substitutes.options().make(skeleton, &log.name)?;
     let extra = extra(&substitute_report, opened.as_ref())?;
     let facts = opened.iter().map(Opened::fact).collect();
     let options = options(&args, &files, log, *maps, simulation, extra, facts);
-    let paths =
-        InputPaths { log: &args.log.path, skeleton: &args.skeleton, prompt: args.annotations.as_deref() };
+    let paths = InputPaths {
+        log: &args.source.log.path,
+        skeleton: &args.source.skeleton,
+        prompt: args.prompt.annotations.as_deref(),
+    };
     let rollout_inputs = RolloutInputs { scenario: &scenario, skeleton, prompt, paths };
-    let out = (!args.dry).then_some((args.out.as_path(), &read));
-    let rollout = Rollout::open(rollout_inputs, options, out, args.resume_after()).map_err(usage)?;
-    if args.resume_after().is_some() && rollout.steps_done() == 0 {
+    let out = (!args.dry).then_some((args.folder.out.as_path(), &read));
+    let rollout = Rollout::open(rollout_inputs, options, out, args.rollout.resume_after()).map_err(usage)?;
+    if args.rollout.resume_after().is_some() && rollout.steps_done() == 0 {
         warn("no rollout with a step was found to resume; this one starts at step 0");
     }
     let render = RenderOptions {
@@ -99,7 +100,7 @@ pub(crate) fn rollout(args: SimulateArgs) -> anyhow::Result<String> {
     drop(progress);
     let report = checked(report, &args, files.profile.as_ref())?;
     let text = summary(&planned, &report, &renderer.rasterizer().info());
-    Ok(format!("{text} in {:.2} s: {}", start.elapsed().as_secs_f64(), args.out.display()))
+    Ok(format!("{text} in {:.2} s: {}", start.elapsed().as_secs_f64(), args.folder.out.display()))
 }
 
 /// Writes the profile, and returns the report of a rollout without failures.
@@ -119,7 +120,8 @@ fn checked(
         warn(&format!("after the rollout had failed: {}", with_causes(&error)));
     }
     let steps = report.rows.len();
-    let place = if args.dry { String::new() } else { format!(", which are in {}", args.out.display()) };
+    let place =
+        if args.dry { String::new() } else { format!(", which are in {}", args.folder.out.display()) };
     Err(anyhow::Error::new(failure).context(format!("stopped after {steps} steps{place}")))
 }
 

@@ -1,6 +1,8 @@
 use std::path::PathBuf;
 
 use clap::Args;
+#[cfg(feature = "network")]
+use pskel_sim::Rates;
 use pskel_sim::{ActorPolicy, EgoKind, PlannerAddress, Tracking};
 
 use crate::args::names::{names, names_of};
@@ -8,6 +10,7 @@ use crate::args::numbers;
 
 /// Policies of ego and actors, and their rates.
 #[derive(Debug, Args)]
+#[command(next_help_heading = "Policies")]
 pub(super) struct PolicyArgs {
     /// Policy of the ego after the warm-up
     #[arg(long, value_name = "POLICY", default_value_t = EgoKind::Replay)]
@@ -43,10 +46,27 @@ pub(super) struct PolicyArgs {
     /// steps follow the log [default: 1; with --generator its window]
     #[arg(long, value_name = "N")]
     pub(super) warmup: Option<usize>,
-    /// Start at this time, absolute microseconds [default: the log's first frame]
-    #[arg(long, value_name = "T_US", allow_negative_numbers = true)]
-    pub(super) start: Option<i64>,
     /// Seed that is passed to planners
     #[arg(long, value_name = "SEED", default_value_t = 0)]
     pub(super) seed: u64,
+}
+
+impl PolicyArgs {
+    /// Creates the policies of a clip of a log, whose other actors follow the log.
+    #[cfg(feature = "network")]
+    pub(super) fn of_clip(ego: EgoKind, rates: Option<Rates>) -> Self {
+        Self {
+            ego,
+            trajectory: None,
+            reanchor: false,
+            planner: None,
+            planner_timeout: 10.0,
+            tracking: Tracking::Perfect,
+            actors: ActorPolicy::Replay,
+            sim_hz: rates.map(|rates| rates.sim_hz),
+            plan_hz: rates.map(|rates| rates.plan_hz),
+            warmup: None,
+            seed: 0,
+        }
+    }
 }

@@ -330,11 +330,7 @@ fn declared_sizes_are_compared_with_the_address_space() {
             "evaluate rollout --features wide.npy wide.npy".to_owned(),
             "features of 20000 rows of 10000 numbers needs 2.2 GiB",
         ),
-        (
-            500_000,
-            "town --frames 1 --size 28x50 --out out/town".to_owned(),
-            " needs 512.0 MiB of memory, but ",
-        ),
+        (500_000, "town frames=1,size=28x50 --out out/town".to_owned(), " needs 512.0 MiB of memory, but "),
         (
             400_000,
             format!("render {LOG} --skeleton sk --out out/maps --rasterizer compute"),

@@ -270,7 +270,7 @@ fn foreign_arrays_are_not_replaced() {
 #[test]
 fn copies_do_not_change_their_data_set() {
     let log = TinyLog::new();
-    log.succeed("town --seed 5 --frames 3 --size 57x100 --out town");
+    log.succeed("town seed=5,frames=3,size=57x100 --out town");
     log.succeed("build nuscenes:town --out sk");
     let list = std::fs::read(log.path("town/.pskel-files")).unwrap();
     let before = tree(&log.path("town"));
@@ -315,7 +315,7 @@ fn invalid_options_are_rejected_before_the_work() {
         assert_refused(&log, &args, part);
         assert!(!log.path("rollout").exists(), "{args}");
     }
-    log.succeed("town --seed 5 --frames 2 --size 57x100 --out town");
+    log.succeed("town seed=5,frames=2,size=57x100 --out town");
     let export = "export nuscenes:town --skeletons none --out videos --layout cosmos-video --rasterizer cpu";
     for size in ["--out-size 31x48", "--size 9x16", ""] {
         let output = log.run(&format!("{export} {size}"));

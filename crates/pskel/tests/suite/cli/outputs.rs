@@ -18,7 +18,7 @@ const SIMULATE: &str =
 const EXTERNAL: &str = "simulate nuscenes:log --skeleton sk --out out --maps depth --rasterizer cpu --steps \
     20 \
     --ego external --planner ./planner.sh --planner-timeout 600";
-const TOWN: &str = "town --seed 5 --frames 2 --size 57x100 --out out";
+const TOWN: &str = "town seed=5,frames=2,size=57x100 --out out";
 const TEMPLATES: &str = "templates sk --min-points 1 --out out";
 const CONVERT: &str = "convert sk --out out";
 const TRAIN: &str =

@@ -192,8 +192,8 @@ fn damaged_libraries_are_errors_that_leave_nothing() {
     log.fail(&RENDER.replace("--templates t", "--templates nowhere"), 1, &["nowhere/templates.json"]);
     for (extra, part) in [
         ("--augment=x", "invalid digit"),
-        ("--augment-share 0.5", "--augment"),
-        ("--augment --augment-share 1.5", "a share from 0 to 1"),
+        ("--augment=share", "SEED,share=S,color_only"),
+        ("--augment=share=1.5", "a share from 0 to 1"),
     ] {
         log.fail(&format!("render nuscenes:log --skeleton sk --out out {extra}"), 2, &[part]);
     }
@@ -245,7 +245,7 @@ fn degraded_assets_are_reproducible_and_listed_in_the_index() {
     };
     let (clean, told) = run("", "2");
     assert_eq!(told, json!(null));
-    let (worse, told) = run("--augment=3 --augment-share 1", "2");
+    let (worse, told) = run("--augment=3,share=1", "2");
     assert_eq!((&told["seed"], &told["share"]), (&json!(3), &json!(1.0)));
     let car = &told["assets"]["car"];
     assert!(["thinned", "one_view"].contains(&car["kind"].as_str().unwrap()), "{car}");
@@ -254,15 +254,15 @@ fn degraded_assets_are_reproducible_and_listed_in_the_index() {
     assert!((200..before).contains(&after), "{after} of {before}");
     let color = "000000/CAM_FRONT/color.png";
     assert!(worse[color] != clean[color]);
-    assert!(worse == run("--augment=3 --augment-share 1", "1").0);
-    let (none, told) = run("--augment --augment-share 0", "2");
+    assert!(worse == run("--augment=3,share=1", "1").0);
+    let (none, told) = run("--augment=share=0", "2");
     assert_eq!((&told["seed"], &told["assets"]["car"]["kind"]), (&json!(0), &json!("none")));
     assert!(none[color] == clean[color]);
     // With its own points in depth, class and instance maps, too, or in color alone.
     let own = "--min-actor-points 0 --splat 100:0";
     let clean = run(own, "2").0;
-    let worse = run(&format!("{own} --augment=3 --augment-share 1"), "2").0;
-    let (only, told) = run(&format!("{own} --augment=3 --augment-share 1 --augment-color-only"), "2");
+    let worse = run(&format!("{own} --augment=3,share=1"), "2").0;
+    let (only, told) = run(&format!("{own} --augment=3,share=1,color_only"), "2");
     assert_eq!(told["color_only"], json!(true));
     let depth = "000000/CAM_FRONT/depth.png";
     assert!(worse[color] != clean[color] && worse[depth] != clean[depth]);

@@ -96,7 +96,7 @@ fn goes_on(folder: &Path, whole: &BTreeMap<String, Vec<u8>>) {
 
 /// Draws with weights from a recorded log, where every second frame is held out, and from a town.
 fn recorded(folder: &Path) {
-    succeed(folder, "town --seed 6 --frames 6 --size 57x100 --out log");
+    succeed(folder, "town seed=6,frames=6,size=57x100 --out log");
     let mixed = train("mixed").replace(TOWN, &format!("nuscenes:log {TOWN} --weights 3,1 --hold-out 2"));
     let told = succeed(folder, &mixed);
     // Two clips of three frames of each.

@@ -210,7 +210,7 @@ fn a_resumed_rollout_equals_an_uninterrupted_one() {
 #[test]
 fn a_rollout_ends_with_the_log() {
     let log = built();
-    let summary = log.succeed(&format!("{SIMULATE} --steps 40 --maps depth --forecast-maps --forecast 1"));
+    let summary = log.succeed(&format!("{SIMULATE} --steps 40 --maps depth --forecast-maps 1"));
     assert!(summary.starts_with("simulated 12 steps of 40 (the log ended), ego replay"), "{summary}");
     assert_eq!(log.json("out/metrics.json")["ended"], "log_ended");
     assert_page_is_whole(&log, "out", 13);
@@ -459,8 +459,8 @@ fn wrong_usage_exits_with_2_and_wrong_files_with_1() {
         ("--steps 5 --maps map", 1, ["an HD map", "none"]),
         ("--steps 5 --resume-from 2", 1, ["expected a rollout with step 2, found no step: out", ""]),
         ("--steps 5 --planner x", 2, ["--ego external with --planner", "found replay"]),
-        ("--steps 5 --forecast 3", 2, ["--forecast-maps", ""]),
-        ("--steps 5 --forecast-maps --forecast 101", 2, ["1 to 100 plan steps", "101"]),
+        ("--steps 5 --forecast-maps 0", 2, ["1 to 100 plan steps", "0"]),
+        ("--steps 5 --forecast-maps 101", 2, ["1 to 100 plan steps", "101"]),
         ("--steps 5 --dry --resume", 2, ["cannot be used with", ""]),
     ] {
         log.fail(&format!("{SIMULATE} {extra}"), code, &parts);

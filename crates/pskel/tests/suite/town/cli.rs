@@ -10,8 +10,8 @@ use crate::tiny_log::{PSKEL, TinyLog, assert_failed, tree};
 #[test]
 fn a_town_is_written_completely_or_not_at_all() {
     let log = TinyLog::new();
-    let small = "--frames 1 --size 45x80";
-    let summary = log.succeed(&format!("town --seed 2 {small} --truth --out out/town"));
+    let small = ",frames=1,size=45x80";
+    let summary = log.succeed(&format!("town seed=2{small} --truth --out out/town"));
     assert!(summary.starts_with("wrote town-2-1f-dusk: 1 frames, 6 images, 1 sweeps"), "{summary}");
     for name in [
         "v1.0-town/sample.json",
@@ -28,11 +28,11 @@ fn a_town_is_written_completely_or_not_at_all() {
     );
     assert!(log.run("info nuscenes:out/town").status.success());
     // A town written before is replaced, unless the folder has other files.
-    log.succeed(&format!("town --seed 4 {small} --out out/town"));
+    log.succeed(&format!("town seed=4{small} --out out/town"));
     assert!(!log.path("out/town/truth").exists());
     std::fs::write(log.path("out/town/notes.txt"), "mine").unwrap();
     let before = tree(&log.path("out"));
-    let again = || log.run(&format!("town --seed 5 {small} --out out/town"));
+    let again = || log.run(&format!("town seed=5{small} --out out/town"));
     assert_failed(&again(), 1, &["expected only files that pskel wrote", "another file: out/town/notes.txt"]);
     assert!(tree(&log.path("out")) == before);
 }
@@ -41,18 +41,18 @@ fn a_town_is_written_completely_or_not_at_all() {
 fn invalid_town_options_are_usage_errors() {
     let log = TinyLog::new();
     for (args, said) in [
-        ("town --beams 16 --out out/x", ["beams of 32 or 64", "\"16\""]),
-        ("town --frames 0 --out out/x", ["1 to 10000 frames", "\"0\""]),
-        ("town --frames 20000 --out out/x", ["1 to 10000 frames", "\"20000\""]),
-        ("town --frames 4000 --out out/x", ["at most 600 s", "4000 frames at 5 Hz"]),
-        ("town --lidar-hz 10 --hz 12 --out out/x", ["hz of 0.5 to lidar_hz", "\"12\""]),
-        ("town --lidar-hz 15 --out out/x", ["lidar_hz of 10 or 20", "\"15\""]),
-        ("town --size 9000x9000 --out out/x", ["at most 33554432 pixels", "9000x9000"]),
-        ("town --size 90 --out out/x", ["a size HxW", "90"]),
-        ("town --seed=-1 --out out/x", ["--seed", "-1"]),
-        ("town --light night --out out/x", ["day, dusk, overcast", "night"]),
+        ("town beams=16 --out out/x", ["beams of 32 or 64", "\"16\""]),
+        ("town frames=0 --out out/x", ["1 to 10000 frames", "\"0\""]),
+        ("town frames=20000 --out out/x", ["1 to 10000 frames", "\"20000\""]),
+        ("town frames=4000 --out out/x", ["at most 600 s", "4000 frames at 5 Hz"]),
+        ("town lidar_hz=10,hz=12 --out out/x", ["hz of 0.5 to lidar_hz", "\"12\""]),
+        ("town lidar_hz=15 --out out/x", ["lidar_hz of 10 or 20", "\"15\""]),
+        ("town size=9000x9000 --out out/x", ["at most 33554432 pixels", "9000x9000"]),
+        ("town size=90 --out out/x", ["a size HxW", "90"]),
+        ("town seed=-1 --out out/x", ["whole number below 2^64 for seed", "-1"]),
+        ("town light=night --out out/x", ["day, dusk or overcast", "night"]),
         ("town --color red --out out/x", ["unexpected argument", "--color"]),
-        ("town --seed 1", ["required", "--out"]),
+        ("town seed=1", ["required", "--out"]),
         ("info town:frames=0", ["1 to 10000 frames", "\"0\""]),
         ("build town:seed=x --out out/x", ["whole number below 2^64 for seed", "\"x\""]),
         ("render town:colour=3 --skeleton out/x --out out/y", ["KEY=VALUE with seed", "\"colour\""]),
@@ -73,12 +73,12 @@ fn a_town_needs_a_writable_place() {
         ("/proc/none/town", "cannot create"),
     ];
     for (place, said) in cases {
-        let output = log.run(&format!("town --frames 1 --size 45x80 --out {place}"));
+        let output = log.run(&format!("town frames=1,size=45x80 --out {place}"));
         assert_failed(&output, 1, &[said, place.trim_end_matches("/town")]);
     }
     assert_eq!(std::fs::read(log.path("file")).unwrap(), b"");
     // Disk full: the unfinished output is removed.
-    let command = "ulimit -f 64; exec \"$0\" town --frames 1 --size 45x80 --out out/town";
+    let command = "ulimit -f 64; exec \"$0\" town frames=1,size=45x80 --out out/town";
     let mut shell = Command::new("bash");
     let output = shell.current_dir(log.path("")).args(["-c", command, PSKEL]).output().unwrap();
     assert_failed(&output, 1, &["cannot write", "out/"]);

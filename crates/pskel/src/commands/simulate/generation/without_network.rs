@@ -10,12 +10,12 @@ use crate::commands::simulate::inputs::Inputs;
 
 /// No options.
 #[derive(Debug, Args)]
-pub(crate) struct GenerationArgs {}
+pub(crate) struct GeneratorArgs {}
 
 /// There is no generator.
 pub(crate) enum Opened {}
 
-impl GenerationArgs {
+impl GeneratorArgs {
     pub(crate) fn generates(&self) -> bool {
         false
     }
@@ -27,13 +27,13 @@ impl GenerationArgs {
     pub(crate) fn inputs(&self) -> impl Iterator<Item = &Path> {
         std::iter::empty()
     }
-
-    pub(crate) fn open(&self, _log: &Recording, _fps: f64) -> anyhow::Result<Option<Opened>> {
-        Ok(None)
-    }
 }
 
 impl Opened {
+    pub(crate) fn open(_: &GeneratorArgs, _log: &Recording, _fps: f64) -> anyhow::Result<Option<Self>> {
+        Ok(None)
+    }
+
     pub(crate) fn window(&self) -> usize {
         match *self {}
     }
