@@ -12,7 +12,7 @@ pub struct AblateOptions {
     pub steps: usize,
     /// Inference steps, T; `None` for the frames of the window.
     pub infer_steps: Option<usize>,
-    /// Seed of noise, features and classifiers.
+    /// Seed of the noise.
     pub seed: u64,
     /// Seed of the asset augmentation; `None` for unchanged assets.
     #[serde(default, skip_serializing_if = "Option::is_none")]

@@ -14,17 +14,13 @@ use crate::plot::{Curve, Plot};
 use crate::{MeanInterval, mean_interval, paired_difference};
 
 /// Reported metrics: name in the results, column, digits.
-const COLUMNS: [(&str, &str, usize); 10] = [
+const COLUMNS: [(&str, &str, usize); 6] = [
     ("psnr_db", "PSNR (dB)", 2),
     ("psnr_db_slope_per_s", "PSNR slope (dB/s)", 3),
     ("ssim", "SSIM", 3),
     ("sharpness_ratio", "sharpness ratio", 2),
     ("motion_slope", "motion", 2),
     ("flicker", "flicker", 2),
-    ("iou_vehicles", "IoU vehicles", 3),
-    ("iou_vehicles_ratio", "IoU ratio", 2),
-    ("frechet_images", "Fréchet, images", 3),
-    ("frechet_videos", "Fréchet, videos", 3),
 ];
 
 /// Results of all variants.

@@ -16,9 +16,7 @@ use pskel_sim::{
 
 use super::error::AblateError;
 use super::options::AblateOptions;
-use crate::{
-    MOVING_MPS, PatchClassifier, PatchClassifierError, PatchOptions, PatchTrainer, moving_mask, vehicle_mask,
-};
+use crate::{MOVING_MPS, moving_mask};
 
 /// Inputs shared by all variants in a log. In a synthetic log, the ego changes lanes; in a recorded one it
 /// follows the log, since images exist only where cameras have been.
@@ -27,8 +25,6 @@ pub(super) struct Scene {
     pub(super) name: String,
     /// References, then the frames to generate.
     pub(super) frames: Vec<SceneFrame>,
-    /// Classifiers for the first and the second half of the frames to generate; `None` without vehicles.
-    pub(super) classifiers: Option<[PatchClassifier; 2]>,
 }
 
 /// Inputs and ground truth of a planning step.
@@ -38,8 +34,6 @@ pub(super) struct SceneFrame {
     pub(super) conditions: Committed<FrameConditions>,
     pub(super) forecasts: Vec<Forecast<FrameConditions>>,
     pub(super) truth: Vec<RgbImage>,
-    /// Class map of each camera.
-    pub(super) class: Vec<Vec<u8>>,
     /// Pixels of moving actors, by camera.
     pub(super) moving: Vec<Vec<bool>>,
 }
@@ -72,13 +66,11 @@ impl Scene {
         let mut renderer = Renderer::new(&skeleton, render)?;
         let map = source.require_map()?;
         let scenario = Scenario { log, map: map.clone(), rates: Rates::default() };
-        let conditioner =
-            Conditioner::new(log, map, options.recipe, "").with_maps(&[MapKind::Class, MapKind::Instance]);
+        let conditioner = Conditioner::new(log, map, options.recipe, "").with_maps(&[MapKind::Instance]);
         let simulation = Simulation::new(&scenario, sim_options(options, ego_of(source)))?;
         let drive = Drive { log: source, conditioner: &conditioner, options };
         let frames = drive.frames(simulation, &mut renderer)?;
-        let classifiers = classifiers(&frames[options.references..], options.study.seed)?;
-        Ok(Self { name: name.to_owned(), frames, classifiers })
+        Ok(Self { name: name.to_owned(), frames })
     }
 }
 
@@ -159,47 +151,19 @@ impl Drive<'_> {
         let moves = instant.actors.iter().map(|actor| actor.speed_mps.abs() > MOVING_MPS);
         let moving: Vec<u32> =
             (1..).zip(moves).filter(|(_, moves)| *moves).map(|(number, _)| number).collect();
-        let (class, instance) = masks(&drawn.get().set)?;
+        let instance = instance(&drawn.get().set)?;
         Ok(SceneFrame {
             t_s,
             conditions: drawn.map(|drawn| drawn.conditions),
             forecasts,
             truth,
-            class,
             moving: instance.iter().map(|map| moving_mask(map, &moving)).collect(),
         })
     }
 }
 
-/// Trains classifiers for the first and the second half of the frames, each on the ground-truth images of the
-/// other half. `None` if a half shows no vehicles.
-fn classifiers(
-    frames: &[SceneFrame],
-    seed: u64,
-) -> Result<Option<[PatchClassifier; 2]>, PatchClassifierError> {
-    let (first, second) = frames.split_at(frames.len() / 2);
-    let train = |frames: &[SceneFrame]| {
-        let mut trainer = PatchTrainer::new(PatchOptions { seed, ..PatchOptions::default() });
-        for frame in frames {
-            for (image, class) in frame.truth.iter().zip(&frame.class) {
-                trainer.add(image, &vehicle_mask(class, image.width() as usize));
-            }
-        }
-        trainer.train()
-    };
-    match (train(second), train(first)) {
-        (Err(PatchClassifierError::Pixels { .. }), _) | (_, Err(PatchClassifierError::Pixels { .. })) => {
-            Ok(None)
-        }
-        (of_second, of_first) => Ok(Some([of_second?, of_first?])),
-    }
-}
-
-/// Class and instance maps of all cameras.
-type Masks = (Vec<Vec<u8>>, Vec<Vec<u32>>);
-
-fn masks(set: &ConditionSet) -> Result<Masks, AblateError> {
-    let of = |camera: &CameraConditions| Some((camera.class.clone()?, camera.instance.clone()?));
-    let all: Option<Vec<_>> = set.cameras.iter().map(of).collect();
-    Ok(all.ok_or(AblateError::NoMasks)?.into_iter().unzip())
+/// Returns the instance map of each camera.
+fn instance(set: &ConditionSet) -> Result<Vec<Vec<u32>>, AblateError> {
+    let of = |camera: &CameraConditions| camera.instance.clone();
+    set.cameras.iter().map(of).collect::<Option<_>>().ok_or(AblateError::NoMasks)
 }

@@ -4,27 +4,20 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use crate::table::{aligned, interval, number};
-use crate::{
-    CollectedFeatures, Distance, Distances, FrechetError, MeanInterval, Scores, mean_interval,
-    paired_difference,
-};
+use crate::{MeanInterval, Scores, mean_interval};
 use point_skeleton::files::{FileKind, FileName};
 use serde::Serialize;
 
+use super::features::Distance;
 use super::rollout::GeneratedRollout;
-use super::segmentor::{GIVEN, PATCHES, PatchesAbout, Segmentors};
 
 /// All results.
 #[derive(Debug, Serialize)]
 pub struct Report {
-    seed: u64,
     /// Means over rollouts, by metric name; `null` if no rollout has the metric.
     mean: BTreeMap<String, Option<MeanInterval>>,
-    /// Distances over the images and videos of all rollouts.
-    distances: Distances,
-    /// Feature distance by another network.
+    /// Fréchet distance of the given features.
     given_features: Option<Distance>,
-    patch_classifier: PatchesAbout,
     notes: Vec<String>,
     rollouts: Vec<ScoredRollout>,
 }
@@ -41,7 +34,7 @@ pub(super) struct ScoredRollout {
     scores: Scores,
 }
 
-const HEADER: [&str; 13] = [
+const HEADER: [&str; 11] = [
     "rollout",
     "steps",
     "PSNR (dB)",
@@ -52,8 +45,6 @@ const HEADER: [&str; 13] = [
     "seams",
     "motion",
     "flicker",
-    "IoU patches",
-    "IoU ratio",
     "IoU masks",
 ];
 
@@ -83,15 +74,14 @@ impl ScoredRollout {
         if motion.is_none() {
             note("no motion: two steps in a row need truth and instance maps as PNG".to_owned());
         }
-        if iou.values().any(|iou| iou.generated.is_none()) || iou.is_empty() {
-            note("no IoU: it needs class maps as PNG that show vehicles, and a segmentor".to_owned());
+        if iou.values().any(|iou| iou.generated.is_none()) {
+            note("no IoU: it needs class maps as PNG, and vehicles in these or in the masks".to_owned());
         }
         notes
     }
 
     fn row(&self) -> Vec<String> {
         let Scores { psnr_db, ssim, sharpness_ratio, seams, motion, iou, steps, .. } = &self.scores;
-        let patches = iou.get(PATCHES);
         let values = [
             (psnr_db.mean, 2),
             (psnr_db.drift.map(|d| d.slope_per_s), 3),
@@ -101,9 +91,7 @@ impl ScoredRollout {
             (seams.get(&4).copied().flatten(), 3),
             (motion.and_then(|m| m.slope), 3),
             (motion.and_then(|m| m.flicker), 3),
-            (patches.and_then(|iou| iou.generated), 3),
-            (patches.and_then(|iou| iou.ratio), 3),
-            (iou.get(GIVEN).and_then(|iou| iou.generated), 3),
+            (iou.get("masks").and_then(|iou| iou.generated), 3),
         ];
         let cells = values.into_iter().map(|(value, digits)| number(value, digits));
         [self.folder.clone(), steps.to_string()].into_iter().chain(cells).collect()
@@ -112,39 +100,12 @@ impl ScoredRollout {
 
 /// Files of reports.
 pub const SCORES: FileKind =
-    FileKind { name: "scores of pskel evaluate", begin: b"{\n  \"seed\": ", marks: &[b"\n  \"mean\": {"] };
+    FileKind { name: "scores of pskel evaluate", begin: b"{\n  \"mean\": {\n    \"flicker\": ", marks: &[] };
 
 impl Report {
-    pub(super) fn new(
-        rollouts: Vec<ScoredRollout>,
-        features: &CollectedFeatures,
-        segmentors: &Segmentors,
-        given_features: Option<Distance>,
-        seed: u64,
-    ) -> Result<Self, FrechetError> {
-        let distances = features.distances()?;
-        let mut notes: Vec<String> = rollouts.iter().flat_map(ScoredRollout::notes).collect();
-        if let Some(missing) = &segmentors.about.missing {
-            notes.push(format!("no patch classifier: {missing}"));
-        }
-        if distances.images.is_none() {
-            notes.push("no distance of images: it needs 2 generated and 2 true ones".to_owned());
-        }
-        if distances.videos.is_none() {
-            notes.push(format!(
-                "no distance of videos: it needs 2 generated and 2 true windows of {} steps",
-                distances.window_frames
-            ));
-        }
-        Ok(Self {
-            seed,
-            mean: means(&rollouts),
-            distances,
-            given_features,
-            patch_classifier: segmentors.about.clone(),
-            notes,
-            rollouts,
-        })
+    pub(super) fn new(rollouts: Vec<ScoredRollout>, given_features: Option<Distance>) -> Self {
+        let notes = rollouts.iter().flat_map(ScoredRollout::notes).collect();
+        Self { mean: means(&rollouts), given_features, notes, rollouts }
     }
 
     /// Returns notes on missing metrics, with reasons.
@@ -155,11 +116,6 @@ impl Report {
     /// Returns the mean of a metric over rollouts; `None` if no rollout has it.
     pub fn mean(&self, metric: &str) -> Option<MeanInterval> {
         self.mean.get(metric).copied().flatten()
-    }
-
-    /// Returns the Fréchet distances over all rollouts.
-    pub fn distances(&self) -> &Distances {
-        &self.distances
     }
 
     /// Returns the number of scored steps of all rollouts.
@@ -181,8 +137,6 @@ impl Report {
                 ("seam_ratio_4", 3),
                 ("motion_slope", 3),
                 ("flicker", 3),
-                ("iou_patch_classifier", 3),
-                ("iou_patch_classifier_ratio", 3),
                 ("iou_masks", 3),
             ];
             let cell = |(name, digits): (&str, usize)| interval(self.mean(name), digits);
@@ -196,31 +150,22 @@ impl Report {
     pub fn summary(&self) -> String {
         let images: usize = self.rollouts.iter().map(|r| r.scores.steps * r.scores.cameras).sum();
         let count = self.rollouts.len();
-        let distance = |name: &str, distance: Option<Distance>| {
-            distance.map_or_else(String::new, |d| format!(", {name} {:.3}", d.distance))
-        };
+        let given = self.given_features.map_or_else(String::new, |given| {
+            format!(", Fréchet distance of given features {:.3}", given.distance)
+        });
         format!(
-            "scored {images} images of {count} rollout{}: PSNR {} dB{}{}{}",
+            "scored {images} images of {count} rollout{}: PSNR {} dB{given}",
             if count == 1 { "" } else { "s" },
             interval(self.mean("psnr_db"), 2),
-            distance("Fréchet distance of images", self.distances.images),
-            distance("of videos", self.distances.videos),
-            distance("of given features", self.given_features),
         )
     }
 }
 
 fn means(rollouts: &[ScoredRollout]) -> BTreeMap<String, Option<MeanInterval>> {
     let numbers: Vec<_> = rollouts.iter().map(|rollout| rollout.scores.numbers()).collect();
-    let all = |name: &str| -> Vec<Option<f64>> {
-        numbers.iter().map(|numbers| numbers.get(name).copied().flatten()).collect()
+    let mean = |name: &String| {
+        let values = numbers.iter().filter_map(|numbers| numbers.get(name).copied().flatten());
+        (name.clone(), mean_interval(&values.collect::<Vec<_>>()))
     };
-    let known = |values: &[Option<f64>]| mean_interval(&values.iter().flatten().copied().collect::<Vec<_>>());
-    let names = numbers.iter().flat_map(BTreeMap::keys);
-    let mut means: BTreeMap<_, _> = names.map(|name| (name.clone(), known(&all(name)))).collect();
-    for name in rollouts.iter().flat_map(|rollout| rollout.scores.iou.keys()) {
-        let difference = paired_difference(&all(&format!("iou_{name}")), &all(&format!("iou_{name}_truth")));
-        means.insert(format!("iou_{name}_minus_truth"), difference);
-    }
-    means
+    numbers.iter().flat_map(BTreeMap::keys).map(mean).collect()
 }

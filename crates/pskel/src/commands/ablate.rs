@@ -63,7 +63,7 @@ pub(crate) struct AblateArgs {
     /// points seen by one camera
     #[arg(long, value_name = "SEED", num_args = 0..=1, require_equals = true, default_missing_value = "0")]
     augment: Option<u64>,
-    /// Seed of noise, features and classifiers
+    /// Seed of the noise
     #[arg(long, value_name = "SEED", default_value_t = AblateOptions::default().seed)]
     seed: u64,
     #[command(flatten)]

@@ -187,12 +187,6 @@ impl ProtocolArgs {
         }
         let is_selected = |name: &str| self.parts.is_empty() || self.parts.iter().any(|part| part == name);
         parts.retain(|part| is_selected(part.name));
-        let without = parts.iter().find(|part| part.reference.is_some_and(|name| !is_selected(name)));
-        if let Some((part, reference)) = without.and_then(|part| Some((part, part.reference?))) {
-            let message =
-                format!("expected --parts with {reference}, the reference of {}, found none", part.name);
-            return Err(WrongUsage(message));
-        }
         Ok(parts)
     }
 

@@ -125,11 +125,7 @@ fn scores_do_not_replace_rollout_files() {
         "evaluate rollout --masks masks --out masks/000000/CAM_FRONT.png",
         "outside of the input masks",
     );
-    assert_refused(
-        &log,
-        "evaluate rollout --reference rollout --out c.json",
-        "expected scores of pskel evaluate",
-    );
+    assert_refused(&log, "evaluate rollout --out c.json", "expected scores of pskel evaluate");
     assert_refused(&log, "evaluate rollout --out none/scores.json", "cannot read");
     for _ in 0..2 {
         assert!(log.run("evaluate rollout --out scores.json").status.success());
