@@ -5,7 +5,7 @@
 //! sets of features ([`frechet_distance`]). [`RolloutScores`] takes the steps of a rollout, in memory, and
 //! computes a series per metric with its [`Drift`], and the [`Motion`] of actors. [`MeanInterval`] averages
 //! over rollouts. These read no files. [`evaluate`] scores the rollouts in folders,
-//! `fidelity` (feature `town`) compares the maps of the synthetic town with its ground truth, and `ablate`
+//! `fidelity` (feature `town`) compares maps with the ground truth of the town or with recorded images, and `ablate`
 //! (feature `network`) generates images with variants of the generator and compares their scores.
 //! [`protocol`] defines evaluation protocols, and [`bench`](mod@bench) measures the speed of rendering.
 
@@ -30,7 +30,10 @@ pub use depth::{DepthErrors, DepthSummary};
 pub use drift::Drift;
 pub use evaluate::{EvaluateError, EvaluateOptions, Report, SCORES, evaluate};
 #[cfg(feature = "town")]
-pub use fidelity::{FidelityError, FidelityFiles, FidelityReport, MaskRow, POSES, Row, fidelity};
+pub use fidelity::{
+    CameraRow, FidelityError, FidelityFiles, FidelityFrames, FidelityReport, FidelitySource, MaskRow, Row,
+    Rows, fidelity,
+};
 pub use frechet::{FeatureSet, FrechetError, frechet_distance};
 pub use images::image_quality::{FilledError, compare_filled, psnr_db};
 pub use images::motion::{MOVING_MPS, Motion, MotionSums, MovingFrame, moving_mask};

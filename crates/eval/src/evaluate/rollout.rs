@@ -84,11 +84,6 @@ impl GeneratedRollout {
         Ok(Self { folder: folder.to_owned(), cameras, sizes, steps, references })
     }
 
-    /// Opens rollouts, in the order of their folders.
-    pub(super) fn open_all(folders: &[PathBuf]) -> Result<Vec<Self>, FileError> {
-        folders.iter().map(|folder| Self::open(folder)).collect()
-    }
-
     /// Drops all steps but every N-th frame, N - 1, 2 N - 1, ..
     ///
     /// # Errors

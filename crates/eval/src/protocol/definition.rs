@@ -110,7 +110,8 @@ fn replay(name: &'static str, rates: PartRates, length: Length) -> Part {
 
 /// Returns a part that leaves the log, with one clip per log.
 fn off_log_part(ego: EgoPolicy, rates: PartRates, length: Length) -> Part {
-    Part { ego, ..replay(ego.name(), rates, length) }
+    let name = ego.name();
+    Part { ego, ..replay(name, rates, length) }
 }
 
 #[cfg(test)]
