@@ -4,13 +4,11 @@
 //! Leaf functions compare two images ([`psnr_db`], [`ssim`], [`sharpness`]), two masks ([`Overlap`]) or two
 //! sets of features ([`frechet_distance`]). [`RolloutScores`] takes the steps of a rollout, in memory, and
 //! computes a series per metric with its [`Drift`], and the [`Motion`] of actors. [`MeanInterval`] averages
-//! over rollouts. These read no files. [`evaluate`] scores the rollouts in folders,
-//! `fidelity` (feature `town`) compares maps with the ground truth of the town or with recorded images, and `ablate`
-//! (feature `network`) generates images with variants of the generator and compares their scores.
-//! [`protocol`] defines evaluation protocols, and [`bench`](mod@bench) measures the speed of rendering.
+//! over rollouts. These read no files. [`evaluate`] scores the rollouts in folders, `fidelity` (feature
+//! `town`) compares maps with the ground truth of the synthetic town or with recorded images. [`protocol`]
+//! defines evaluation protocols; `protocol::ablation` (feature `network`) compares variants of the generator.
+//! [`bench`](mod@bench) measures the speed of rendering.
 
-#[cfg(feature = "network")]
-pub mod ablate;
 pub mod bench;
 mod depth;
 mod drift;

@@ -205,7 +205,7 @@ fn output_folders_must_be_outside_inputs() {
             "expected an output outside of the input log, found one in it: log/samples",
         ),
         (
-            "ablate nuscenes:log --rasterizer cpu --out log/samples".to_owned(),
+            "protocol ablation nuscenes:log --skeletons sks --rasterizer cpu --out log/samples".to_owned(),
             "expected an output outside of the input log, found one in it: log/samples",
         ),
         (EXPORT.replace("--out out", "--out sk/export --layout frames"), skeleton),

@@ -157,7 +157,7 @@ fn cells(numbers: &BTreeMap<String, Option<MeanInterval>>) -> Vec<String> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::options::{AblateOptions, Choice, Origin};
+    use super::super::options::{AblationOptions, Choice, Origin};
     use super::*;
     use point_skeleton::files::Inputs;
     use pskel_generate::{DroppedConditions, Strategy};
@@ -179,10 +179,7 @@ mod tests {
         RunResult {
             scene: scene.into(),
             row: row.into(),
-            origin: Origin {
-                settings: AblateOptions { steps: 2, ..AblateOptions::default() },
-                weights: String::new(),
-            },
+            origin: Origin { settings: AblationOptions { steps: 2, seed: 0 }, weights: String::new() },
             numbers: [("psnr_db".to_owned(), Some(psnr_db)), ("ssim".to_owned(), None)].into(),
             t_s: vec![0.6, 0.8],
             psnr_db: vec![Some(psnr_db), Some(psnr_db - 1.0)],

@@ -12,8 +12,8 @@ use pskel_generate::{Codec, Condition, FrameConditions, GaussianNoise, Generator
 use pskel_sim::{Committed, Forecast};
 use serde::{Deserialize, Serialize};
 
-use super::error::AblateError;
-use super::options::{AblateOptions, Networks, Origin};
+use super::error::AblationError;
+use super::options::{AblationOptions, Networks, Origin};
 use super::rows::Row;
 use super::scene::{Scene, SceneFrame};
 use crate::{RolloutScores, ScoredFrame};
@@ -62,14 +62,14 @@ pub(super) fn run(
     scene: &Scene,
     row: &Row,
     networks: &Networks,
-    study: &AblateOptions,
-) -> Result<(RunResult, Strip), AblateError> {
+    study: &AblationOptions,
+) -> Result<(RunResult, Strip), AblationError> {
     let network = networks.get(row.network);
     let given = |conditions: &Committed<FrameConditions>| conditions.clone().map(|c| c.without(row.dropped));
-    let options = row.options(networks, study);
+    let options = row.options(networks);
     let (before, frames) = scene.frames.split_at(options.references());
     let reference = |frame: &SceneFrame| Ok((network.encode(&frame.truth)?, given(&frame.conditions)));
-    let references = before.iter().map(reference).collect::<Result<Vec<_>, AblateError>>()?;
+    let references = before.iter().map(reference).collect::<Result<Vec<_>, AblationError>>()?;
     let noise = GaussianNoise { seed: study.seed };
     let mut generator = Generator::new(network.clone(), noise, options, references)?;
     let mut scores = RolloutScores::default();

@@ -10,7 +10,7 @@ use crate::ScoreError;
 
 /// Error of an ablation study.
 #[derive(Debug, thiserror::Error)]
-pub enum AblateError {
+pub enum AblationError {
     /// The networks are not comparable.
     #[error("expected networks of one recipe, window and number of cameras, found {found}")]
     Networks {

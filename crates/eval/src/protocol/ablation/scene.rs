@@ -14,8 +14,8 @@ use pskel_sim::{
     ActorPolicy, Committed, EgoPolicy, Forecast, Instant, Rates, Scenario, SimOptions, Simulation,
 };
 
-use super::error::AblateError;
-use super::options::AblateOptions;
+use super::error::AblationError;
+use super::options::AblationOptions;
 use crate::{MOVING_MPS, moving_mask};
 
 /// Inputs shared by all variants in a log. In a synthetic log, the ego changes lanes; in a recorded one it
@@ -43,20 +43,23 @@ pub(super) struct SceneOptions<'a> {
     pub(super) recipe: &'a Recipe,
     /// Number of frames before the first generated one, and of forecasts.
     pub(super) references: usize,
-    pub(super) study: &'a AblateOptions,
+    pub(super) study: &'a AblationOptions,
     pub(super) rasterizer: &'a RasterizerDesc,
-    /// Path of the skeleton, which is built if it does not exist and retained for later runs.
+    /// Path of the skeleton, which is built if it does not exist.
     pub(super) skeleton: &'a Path,
 }
 
 impl Scene {
     /// Builds the skeleton if it does not exist, and simulates the ego.
-    pub(super) fn render(name: &str, source: &Log, options: &SceneOptions<'_>) -> Result<Self, AblateError> {
+    pub(super) fn render(
+        name: &str,
+        source: &Log,
+        options: &SceneOptions<'_>,
+    ) -> Result<Self, AblationError> {
         check_length(source.recording(), options.count())?;
         let skeleton = skeleton::open_or_build(options.skeleton, source.reader())?;
         let log = source.recording();
-        let (substitutes, _) =
-            SubstituteOptions::augmented(options.study.augment).make(&skeleton, &log.name)?;
+        let (substitutes, _) = SubstituteOptions::default().make(&skeleton, &log.name)?;
         let render = RenderOptions {
             rasterizer: options.rasterizer.clone(),
             substitutes: &substitutes,
@@ -82,12 +85,12 @@ impl SceneOptions<'_> {
 }
 
 /// Rejects logs that are too short, because replayed actors are removed after the log ends.
-fn check_length(log: &Recording, count: usize) -> Result<(), AblateError> {
+fn check_length(log: &Recording, count: usize) -> Result<(), AblationError> {
     let ends = log.frames.first().zip(log.frames.last());
     let seconds = ends.map_or(0.0, |(first, last)| (last.t_us - first.t_us) as f64 / 1e6);
     let found = 1 + (seconds * Rates::default().plan_hz + 1e-6) as usize;
     if found < count {
-        return Err(AblateError::Length { expected: count, found });
+        return Err(AblationError::Length { expected: count, found });
     }
     Ok(())
 }
@@ -121,7 +124,7 @@ impl Drive<'_> {
         &self,
         mut simulation: Simulation<'_>,
         renderer: &mut Renderer<'_>,
-    ) -> Result<Vec<SceneFrame>, AblateError> {
+    ) -> Result<Vec<SceneFrame>, AblationError> {
         let count = self.options.count();
         let (mut frames, mut before, mut first_us) = (Vec::new(), None, None);
         while frames.len() < count {
@@ -144,7 +147,7 @@ impl Drive<'_> {
         forecasts: Vec<Forecast<FrameConditions>>,
         instant: &Instant,
         t_s: f64,
-    ) -> Result<SceneFrame, AblateError> {
+    ) -> Result<SceneFrame, AblationError> {
         let view = |view: &point_skeleton::geometry::View| self.conditioner.options().drawn_view(view);
         let size = self.options.recipe.size;
         let truth = GroundTruthImages::new(self.log.reader()).of(&drawn.get().state, view, size, true)?;
@@ -163,7 +166,7 @@ impl Drive<'_> {
 }
 
 /// Returns the instance map of each camera.
-fn instance(set: &ConditionSet) -> Result<Vec<Vec<u32>>, AblateError> {
+fn instance(set: &ConditionSet) -> Result<Vec<Vec<u32>>, AblationError> {
     let of = |camera: &CameraConditions| camera.instance.clone();
-    set.cameras.iter().map(of).collect::<Option<_>>().ok_or(AblateError::NoMasks)
+    set.cameras.iter().map(of).collect::<Option<_>>().ok_or(AblationError::NoMasks)
 }

@@ -1,5 +1,7 @@
 //! `pskel protocol`: generates the clips of an evaluation protocol and scores them. Each clip is a rollout of
-//! `pskel simulate` in its own folder.
+//! `pskel simulate` in its own folder. [`ablation`] generates the same frames with variants of the generator.
+
+mod ablation;
 
 use std::cell::RefCell;
 use std::path::{Path, PathBuf};
@@ -8,7 +10,7 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use anyhow::Context;
-use clap::Args;
+use clap::{Args, Subcommand};
 use point_skeleton::Log;
 use point_skeleton::conditions::write::meta::PromptParts;
 use point_skeleton::conditions::{Captions, ConditionOptions, MapFormat};
@@ -16,6 +18,7 @@ use point_skeleton::dataset::{LogLocator, LogOpener, expand, nuscenes};
 use point_skeleton::error::{FileError, with_causes};
 use point_skeleton::files::input::is_there;
 use point_skeleton::files::{Inputs, OutputFolder, write_json, write_whole};
+use point_skeleton::named::Named as _;
 use point_skeleton::scene::{SelectionOptions, SubstituteOptions};
 use point_skeleton::skeleton;
 use pskel_eval::protocol::{Clip, Part, PartRollouts, Protocol, ProtocolReport, check_settings};
@@ -27,27 +30,31 @@ use pskel_sim::{Rates, Scenario};
 use serde::Serialize;
 use serde_json::Value;
 
+use self::ablation::AblationArgs;
 use super::simulate::{self, ClipArgs, GenerationArgs, SimulateArgs};
 use crate::args::generator::GeneratorArgs;
 use crate::args::log::{self, LogRoots};
 use crate::args::maps::MapArgs;
-use crate::args::names::names;
 use crate::args::rasterizer::RasterizerArgs;
 use crate::args::substitutes::SubstituteArgs;
 use crate::progress::Progress;
 use crate::{WrongUsage, logs, say, tell};
 
-/// Run an evaluation protocol: generate its clips and score them
-///
-/// Writes a rollout per clip, PART/CLIP, then table.md and results.json, and for parts with a copy of the
-/// data set (nuScenes) dataset, in which the generated images of all scenes replace the recorded ones.
-/// Finished rollouts are retained and others resumed, so the same command continues an interrupted run. Logs
-/// that fail are reported at the end.
+/// Evaluation protocols.
+#[derive(Debug, Subcommand)]
+pub(crate) enum ProtocolCommand {
+    #[command(about = Protocol::NuplanSimgen.help())]
+    NuplanSimgen(Box<ClipProtocolArgs>),
+    #[command(about = Protocol::NuscenesVal.help())]
+    NuscenesVal(Box<ClipProtocolArgs>),
+    #[command(about = Protocol::LaneChange.help())]
+    LaneChange(Box<ClipProtocolArgs>),
+    Ablation(Box<AblationArgs>),
+}
+
+/// Logs of a protocol, and its folders.
 #[derive(Debug, Args)]
-pub(crate) struct ProtocolArgs {
-    /// Protocol
-    #[arg(value_parser = names::<Protocol>())]
-    protocol: Protocol,
+struct ProtocolLogs {
     /// Recordings: FORMAT:PATH[@VERSION][#SCENE]; of sets, like nuscenes:ROOT@v1.0-trainval#* or
     /// nuplan-simgen:FOLDER, those of the protocol
     #[arg(value_name = "LOG", required = true, value_parser = log::log)]
@@ -60,6 +67,18 @@ pub(crate) struct ProtocolArgs {
     /// Folder to write
     #[arg(long, value_name = "DIR", value_parser = log::output_folder())]
     out: PathBuf,
+}
+
+/// Run an evaluation protocol: generate its clips and score them
+///
+/// Writes a rollout per clip, PART/CLIP, then table.md and results.json, and for parts with a copy of the
+/// data set (nuScenes) dataset, in which the generated images of all scenes replace the recorded ones.
+/// Finished rollouts are retained and others resumed, so the same command continues an interrupted run. Logs
+/// that fail are reported at the end.
+#[derive(Debug, Args)]
+pub(crate) struct ClipProtocolArgs {
+    #[command(flatten)]
+    given: ProtocolLogs,
     /// Parts of the protocol [default: all]
     #[arg(long, value_name = "PART,..", value_delimiter = ',')]
     parts: Vec<String>,
@@ -108,7 +127,8 @@ const FILES: [&str; 3] = ["protocol.json", "results.json", "table.md"];
 
 /// A run of the command.
 struct Run<'a> {
-    args: &'a ProtocolArgs,
+    protocol: Protocol,
+    args: &'a ClipProtocolArgs,
     /// Keeps the tables of a data set between its logs.
     opener: Arc<LogOpener>,
     /// Copy of the data set, if a part has one.
@@ -124,25 +144,35 @@ struct Run<'a> {
     logs: Vec<String>,
 }
 
-/// Runs the command: generates and scores the clips, writes the table.
-pub(crate) fn run(args: &ProtocolArgs) -> anyhow::Result<()> {
+/// Runs the command.
+pub(crate) fn run(command: ProtocolCommand) -> anyhow::Result<()> {
+    match command {
+        ProtocolCommand::NuplanSimgen(args) => run_clips(Protocol::NuplanSimgen, &args),
+        ProtocolCommand::NuscenesVal(args) => run_clips(Protocol::NuscenesVal, &args),
+        ProtocolCommand::LaneChange(args) => run_clips(Protocol::LaneChange, &args),
+        ProtocolCommand::Ablation(args) => ablation::run(&args),
+    }
+}
+
+/// Generates and scores the clips of a protocol, writes the table.
+fn run_clips(protocol: Protocol, args: &ClipProtocolArgs) -> anyhow::Result<()> {
     let start = Instant::now();
     args.generating.check(Some(&args.generator))?;
     args.maps.check()?;
-    let parts = args.parts()?;
+    let parts = args.parts(protocol)?;
     let opener = Arc::default();
-    let logs = args.logs(&opener)?;
+    let logs = args.logs(protocol, &opener)?;
     let copied = parts.iter().find(|part| part.copies_dataset);
     copied.map_or(Ok(()), |part| check_one_dataset(part, &logs))?;
-    let files = OutputFolder::open(&args.out, "protocol", &args.inputs(&logs))?;
+    let files = OutputFolder::open(&args.given.out, "protocol", &args.inputs(&logs))?;
     files.check(FILES)?;
     let dataset = files.folder("dataset")?;
     let copy = copied.map(|_| DatasetCopy::open(&logs[0].path, &dataset, None)).transpose()?;
     parts.iter().try_for_each(|part| files.folder(part.name).map(drop))?;
-    let references = args.settle(&logs, &opener, &files)?;
+    let references = args.settle(protocol, &logs, &opener, &files)?;
     let parts = parts.into_iter().map(|part| PartRollouts { part, folders: Vec::new(), frames: 0 }).collect();
     let (copied, names) = Default::default();
-    let mut run = Run { args, opener, copy, files: &files, references, parts, copied, logs: names };
+    let mut run = Run { protocol, args, opener, copy, files: &files, references, parts, copied, logs: names };
     let mut failures = 0_usize;
     for locator in &logs {
         if let Err(error) = run.generate(locator) {
@@ -158,12 +188,24 @@ pub(crate) fn run(args: &ProtocolArgs) -> anyhow::Result<()> {
     files.close()?;
     let (count, seconds) = (logs.len(), start.elapsed().as_secs_f64());
     let plural = if count == 1 { "" } else { "s" };
-    say(&format!("{count} recording{plural} in {seconds:.2} s: {}", args.out.display()));
+    say(&format!("{count} recording{plural} in {seconds:.2} s: {}", args.given.out.display()));
     anyhow::ensure!(failures == 0, "expected rollouts of every recording, found {failures} that failed");
     Ok(())
 }
 
-impl ProtocolArgs {
+impl ProtocolLogs {
+    /// Returns the logs, each once, with those of sets.
+    fn expand(&self) -> anyhow::Result<Vec<LogLocator>> {
+        let mut found = Vec::new();
+        for log in &self.logs {
+            found.extend(expand(&self.roots.locate(log))?);
+        }
+        log::check_once(&found)?;
+        Ok(found)
+    }
+}
+
+impl ClipProtocolArgs {
     /// Returns everything that is read, except for skeletons.
     fn inputs(&self, logs: &[LogLocator]) -> Inputs {
         let log_paths = logs.iter().flat_map(LogLocator::inputs);
@@ -179,8 +221,8 @@ impl ProtocolArgs {
     }
 
     /// Returns the selected parts, in order.
-    fn parts(&self) -> Result<Vec<Part>, WrongUsage> {
-        let mut parts = self.protocol.parts();
+    fn parts(&self, protocol: Protocol) -> Result<Vec<Part>, WrongUsage> {
+        let mut parts = protocol.parts();
         let names: Vec<&str> = parts.iter().map(|part| part.name).collect();
         if let Some(other) = self.parts.iter().find(|part| !names.contains(&part.as_str())) {
             return Err(WrongUsage(format!("expected --parts of {}, found {other}", names.join(", "))));
@@ -191,13 +233,9 @@ impl ProtocolArgs {
     }
 
     /// Returns the logs to generate: the protocol's logs, each once, or any with `--other-logs`.
-    fn logs(&self, opener: &LogOpener) -> anyhow::Result<Vec<LogLocator>> {
-        let mut found = Vec::new();
-        for log in &self.logs {
-            found.extend(expand(&self.roots.locate(log))?);
-        }
-        log::check_once(&found)?;
-        let mut missing = self.protocol.logs();
+    fn logs(&self, protocol: Protocol, opener: &LogOpener) -> anyhow::Result<Vec<LogLocator>> {
+        let found = self.given.expand()?;
+        let mut missing = protocol.logs();
         if self.other_logs || missing.is_empty() {
             return Ok(found);
         }
@@ -209,7 +247,7 @@ impl ProtocolArgs {
                 ours.push(locator);
             }
         }
-        let (count, name) = (missing.len(), self.protocol.name());
+        let (count, name) = (missing.len(), protocol.name());
         let Some(first) = missing.first() else { return Ok(ours) };
         let message = format!(
             "expected all recordings of {name}, or --other-logs, found that {count} are missing, the first \
@@ -220,14 +258,20 @@ impl ProtocolArgs {
 
     /// Writes the settings, or compares them with an earlier run's. Returns the number of the generator's
     /// reference frames.
-    fn settle(&self, logs: &[LogLocator], opener: &LogOpener, files: &OutputFolder) -> anyhow::Result<usize> {
+    fn settle(
+        &self,
+        protocol: Protocol,
+        logs: &[LogLocator],
+        opener: &LogOpener,
+        files: &OutputFolder,
+    ) -> anyhow::Result<usize> {
         let first = logs.first().context("expected a recording, found none")?;
         let log = logs::open_by(first, opener)?;
         let rates = Rates::of(first.format);
         let opened =
             self.generating.open(&self.generator, &DenoiserRig::of(log.recording(), rates.plan_hz))?;
         let settings = serde_json::to_value(Settings {
-            protocol: self.protocol.name(),
+            protocol: protocol.name(),
             generator: serde_json::to_value(opened.report())?,
             maps: self.maps.conditions(self.maps.maps.unwrap_or_default()),
             selection: self.maps.selection(),
@@ -251,7 +295,7 @@ impl Run<'_> {
         let log = source.recording();
         anyhow::ensure!(!self.logs.contains(&log.name), "expected each name once, found {} again", log.name);
         self.copy.as_ref().map_or(Ok(()), |copy| copy.check(log))?;
-        let skeleton = self.args.skeletons.join(&log.name);
+        let skeleton = self.args.given.skeletons.join(&log.name);
         if !skeleton.exists() {
             tell(&format!("building {}", skeleton.display()));
         }
@@ -304,7 +348,7 @@ impl Run<'_> {
             GenerationArgs { generator: Some(args.generator.clone()), options: args.generating.clone() };
         let summary = simulate::rollout(SimulateArgs::of_clip(ClipArgs {
             log: locator.clone(),
-            roots: args.roots.clone(),
+            roots: args.given.roots.clone(),
             skeleton: skeleton.to_owned(),
             out: out.to_owned(),
             generation,
@@ -334,9 +378,8 @@ impl Run<'_> {
         let mut on_start = |steps| *progress.borrow_mut() = Some(Progress::new(steps));
         let mut on_step =
             |name: &str| progress.borrow_mut().iter_mut().for_each(|progress| progress.step(name));
-        let (protocol, parts) = (self.args.protocol, &self.parts);
-        let rollouts = (self.args.out.as_path(), parts.as_slice());
-        let report = ProtocolReport::score(protocol, &self.logs, rollouts, &mut on_start, &mut on_step)?;
+        let rollouts = (self.args.given.out.as_path(), self.parts.as_slice());
+        let report = ProtocolReport::score(self.protocol, &self.logs, rollouts, &mut on_start, &mut on_step)?;
         drop(progress);
         write_json(&self.files.claim("results.json")?, &report)?;
         let (path, table) = (self.files.claim("table.md")?, report.table());
