@@ -8,7 +8,7 @@ use point_skeleton::files::{Inputs, check_place};
 use pskel_eval::protocol::ablation::{Ablation, AblationError, AblationOptions, Networks, RunResult, Table};
 use pskel_network::{Network, NetworkName};
 
-use super::ProtocolLogs;
+use super::logs::ProtocolLogs;
 use crate::args::names::names;
 use crate::args::rasterizer::RasterizerArgs;
 use crate::progress::Progress;

@@ -1,0 +1,356 @@
+//! Generates the clips of an evaluation protocol and scores them. Each clip is a rollout of `pskel simulate`
+//! in its own folder.
+
+use std::cell::RefCell;
+use std::path::{Path, PathBuf};
+use std::rc::Rc;
+use std::sync::Arc;
+use std::time::Instant;
+
+use anyhow::Context;
+use clap::Args;
+use point_skeleton::Log;
+use point_skeleton::conditions::write::meta::PromptParts;
+use point_skeleton::conditions::{Captions, ConditionOptions, MapFormat};
+use point_skeleton::dataset::{LogLocator, LogOpener, nuscenes};
+use point_skeleton::error::{FileError, with_causes};
+use point_skeleton::files::input::is_there;
+use point_skeleton::files::{Inputs, OutputFolder, write_json, write_whole};
+use point_skeleton::scene::{SelectionOptions, SubstituteOptions};
+use point_skeleton::skeleton;
+use pskel_eval::protocol::{Clip, Part, PartRollouts, Protocol, ProtocolReport, check_settings};
+use pskel_generate::{CopiedLog, DatasetCopy, DenoiserRig};
+use pskel_network::NetworkName;
+use pskel_sim::report::ROLLOUT;
+use pskel_sim::rollout::{self, InputPaths, RolloutInputs};
+use pskel_sim::{Rates, Scenario};
+use serde::Serialize;
+use serde_json::Value;
+
+use super::super::simulate::{self, ClipArgs, GenerationArgs, SimulateArgs};
+use super::logs::ProtocolLogs;
+use crate::args::generator::GeneratorArgs;
+use crate::args::maps::MapArgs;
+use crate::args::rasterizer::RasterizerArgs;
+use crate::args::substitutes::SubstituteArgs;
+use crate::progress::Progress;
+use crate::{WrongUsage, logs, say, tell};
+
+/// Run an evaluation protocol: generate its clips and score them
+///
+/// Writes a rollout per clip, PART/CLIP, then table.md and results.json, and for parts with a copy of the
+/// data set (nuScenes) dataset, in which the generated images of all scenes replace the recorded ones.
+/// Finished rollouts are retained and others resumed, so the same command continues an interrupted run. Logs
+/// that fail are reported at the end.
+#[derive(Debug, Args)]
+pub(crate) struct ClipProtocolArgs {
+    #[command(flatten)]
+    given: ProtocolLogs,
+    /// Parts of the protocol [default: all]
+    #[arg(long, value_name = "PART,..", value_delimiter = ',')]
+    parts: Vec<String>,
+    /// Accept any logs instead of all those of the protocol; the table says so
+    #[arg(long)]
+    other_logs: bool,
+    /// At most this number of clips per recording and part [default: all]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
+    clips: Option<u16>,
+    /// Network: network (shipped with the program), network:FILE with weights of `pskel train`, fill (no
+    /// network: holes filled), or process:COMMAND, process:unix:PATH or process:tcp:HOST:PORT
+    /// (docs/src/reference/denoiser.md)
+    #[arg(long, value_name = "NETWORK", default_value = "network")]
+    generator: NetworkName,
+    #[command(flatten)]
+    maps: MapArgs,
+    /// Annotations for the prompt in meta.json: {"weather": "Sunny", "city": "Boston"}, both optional
+    #[arg(long, value_name = "F.json")]
+    annotations: Option<PathBuf>,
+    #[command(flatten)]
+    stand_ins: SubstituteArgs,
+    #[command(flatten)]
+    rasterizer: RasterizerArgs,
+    #[command(flatten, next_help_heading = "Options of the generator")]
+    generating: GeneratorArgs,
+}
+
+/// Content of `protocol.json`: options that all rollouts of the folder share.
+#[derive(Serialize)]
+struct Settings<'a> {
+    protocol: &'a str,
+    generator: Value,
+    maps: ConditionOptions,
+    selection: SelectionOptions,
+    format: MapFormat,
+    substitutes: SubstituteOptions,
+    /// Fingerprint of the template library.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    library: Option<String>,
+    prompt: PromptParts,
+    captions: Option<Captions>,
+}
+
+/// Files in the folder itself.
+const FILES: [&str; 3] = ["protocol.json", "results.json", "table.md"];
+
+/// A run of the command.
+struct Run<'a> {
+    protocol: Protocol,
+    args: &'a ClipProtocolArgs,
+    /// Keeps the tables of a data set between its logs.
+    opener: Arc<LogOpener>,
+    /// Copy of the data set, if a part has one.
+    copy: Option<DatasetCopy<'a>>,
+    files: &'a OutputFolder,
+    /// Number of reference frames of the generator.
+    references: usize,
+    /// Parts and their rollouts so far.
+    parts: Vec<PartRollouts>,
+    /// Logs whose images are copied into a data set, with their rollouts.
+    copied: Vec<(Rc<Log>, PathBuf)>,
+    /// Names of the logs with rollouts.
+    logs: Vec<String>,
+}
+
+/// Generates and scores the clips of a protocol, writes the table.
+pub(super) fn run(protocol: Protocol, args: &ClipProtocolArgs) -> anyhow::Result<()> {
+    let start = Instant::now();
+    args.generating.check(Some(&args.generator))?;
+    args.maps.check()?;
+    let parts = args.parts(protocol)?;
+    let opener = Arc::default();
+    let logs = args.logs(protocol, &opener)?;
+    let copied = parts.iter().find(|part| part.copies_dataset);
+    copied.map_or(Ok(()), |part| check_one_dataset(part, &logs))?;
+    let files = OutputFolder::open(&args.given.out, "protocol", &args.inputs(&logs))?;
+    files.check(FILES)?;
+    let dataset = files.folder("dataset")?;
+    let copy = copied.map(|_| DatasetCopy::open(&logs[0].path, &dataset, None)).transpose()?;
+    parts.iter().try_for_each(|part| files.folder(part.name).map(drop))?;
+    let references = args.settle(protocol, &logs, &opener, &files)?;
+    let parts = parts.into_iter().map(|part| PartRollouts { part, folders: Vec::new(), frames: 0 }).collect();
+    let (copied, names) = Default::default();
+    let mut run = Run { protocol, args, opener, copy, files: &files, references, parts, copied, logs: names };
+    let mut failures = 0_usize;
+    for locator in &logs {
+        if let Err(error) = run.generate(locator) {
+            tell(&format!("failed: {locator}: {}", with_causes(error.as_ref())));
+            failures += 1;
+        }
+    }
+    anyhow::ensure!(
+        failures < logs.len(),
+        "expected rollouts, found that each of {failures} recordings failed"
+    );
+    run.finish(&dataset)?;
+    files.close()?;
+    let (count, seconds) = (logs.len(), start.elapsed().as_secs_f64());
+    let plural = if count == 1 { "" } else { "s" };
+    say(&format!("{count} recording{plural} in {seconds:.2} s: {}", args.given.out.display()));
+    anyhow::ensure!(failures == 0, "expected rollouts of every recording, found {failures} that failed");
+    Ok(())
+}
+
+impl ClipProtocolArgs {
+    /// Returns everything that is read, except for skeletons.
+    fn inputs(&self, logs: &[LogLocator]) -> Inputs {
+        let log_paths = logs.iter().flat_map(LogLocator::inputs);
+        Inputs::new(log_paths)
+            .and(&self.annotations)
+            .and(self.generating.inputs())
+            .and(self.stand_ins.inputs())
+    }
+
+    /// Reads the parts of the prompt.
+    fn prompt(&self) -> Result<PromptParts, FileError> {
+        self.annotations.as_deref().map_or(Ok(PromptParts::default()), PromptParts::read)
+    }
+
+    /// Returns the selected parts, in order.
+    fn parts(&self, protocol: Protocol) -> Result<Vec<Part>, WrongUsage> {
+        let mut parts = protocol.parts();
+        let names: Vec<&str> = parts.iter().map(|part| part.name).collect();
+        if let Some(other) = self.parts.iter().find(|part| !names.contains(&part.as_str())) {
+            return Err(WrongUsage(format!("expected --parts of {}, found {other}", names.join(", "))));
+        }
+        let is_selected = |name: &str| self.parts.is_empty() || self.parts.iter().any(|part| part == name);
+        parts.retain(|part| is_selected(part.name));
+        Ok(parts)
+    }
+
+    /// Returns the logs to generate: the protocol's logs, each once, or any with `--other-logs`.
+    fn logs(&self, protocol: Protocol, opener: &LogOpener) -> anyhow::Result<Vec<LogLocator>> {
+        let found = self.given.expand()?;
+        let mut missing = protocol.logs();
+        if self.other_logs || missing.is_empty() {
+            return Ok(found);
+        }
+        let mut ours = Vec::new();
+        for locator in found {
+            let name = opener.outline(&locator)?.name;
+            if let Some(place) = missing.iter().position(|other| *other == name) {
+                missing.remove(place);
+                ours.push(locator);
+            }
+        }
+        let (count, name) = (missing.len(), protocol.name());
+        let Some(first) = missing.first() else { return Ok(ours) };
+        let message = format!(
+            "expected all recordings of {name}, or --other-logs, found that {count} are missing, the first \
+                is {first}"
+        );
+        Err(WrongUsage(message).into())
+    }
+
+    /// Writes the settings, or compares them with an earlier run's. Returns the number of the generator's
+    /// reference frames.
+    fn settle(
+        &self,
+        protocol: Protocol,
+        logs: &[LogLocator],
+        opener: &LogOpener,
+        files: &OutputFolder,
+    ) -> anyhow::Result<usize> {
+        let first = logs.first().context("expected a recording, found none")?;
+        let log = logs::open_by(first, opener)?;
+        let rates = Rates::of(first.format);
+        let opened =
+            self.generating.open(&self.generator, &DenoiserRig::of(log.recording(), rates.plan_hz))?;
+        let settings = serde_json::to_value(Settings {
+            protocol: protocol.name(),
+            generator: serde_json::to_value(opened.report())?,
+            maps: self.maps.conditions(self.maps.maps.unwrap_or_default()),
+            selection: self.maps.selection(),
+            format: self.maps.format,
+            substitutes: self.stand_ins.options(),
+            library: self.stand_ins.options().fingerprint()?,
+            prompt: self.prompt()?,
+            captions: self.generating.all_captions()?,
+        })?;
+        let path = files.claim("protocol.json")?;
+        check_settings(&path, &settings)?;
+        write_json(&path, &settings)?;
+        Ok(opened.window() - 1)
+    }
+}
+
+impl Run<'_> {
+    /// Generates the clips of a log in all parts, after building its skeleton if it does not exist.
+    fn generate(&mut self, locator: &LogLocator) -> anyhow::Result<()> {
+        let source = Rc::new(logs::open_by(locator, &self.opener)?);
+        let log = source.recording();
+        anyhow::ensure!(!self.logs.contains(&log.name), "expected each name once, found {} again", log.name);
+        self.copy.as_ref().map_or(Ok(()), |copy| copy.check(log))?;
+        let skeleton = self.args.given.skeletons.join(&log.name);
+        if !skeleton.exists() {
+            tell(&format!("building {}", skeleton.display()));
+        }
+        let built = skeleton::open_or_build(&skeleton, source.reader())?;
+        let limit = self.args.clips.map_or(usize::MAX, usize::from);
+        let rates = Rates::of(locator.format);
+        let scenario = Scenario { log, map: source.require_map()?, rates };
+        let paths =
+            InputPaths { log: &locator.path, skeleton: &skeleton, prompt: self.args.annotations.as_deref() };
+        let prompt = &self.args.prompt()?;
+        let inputs = RolloutInputs { scenario: &scenario, skeleton: &built, prompt, paths };
+        let mut done = Vec::new();
+        for (place, PartRollouts { part, .. }) in self.parts.iter().enumerate() {
+            let clips = part.clips(log, rates, self.references);
+            let clips = clips.with_context(|| format!("part {}", part.name))?;
+            for clip in clips.into_iter().take(limit) {
+                let out = self.files.folder(Path::new(part.name).join(&clip.name))?;
+                match rollout::is_finished(&out)? {
+                    true => rollout::check_finished(&out, &inputs).map_err(anyhow::Error::from),
+                    false => self.generate_clip(locator, &skeleton, part, &clip, &out),
+                }
+                .with_context(|| format!("part {}, clip {}", part.name, clip.name))?;
+                done.push((place, clip, out));
+            }
+        }
+        // A log counts only as a whole.
+        self.logs.push(log.name.clone());
+        for (place, clip, out) in done {
+            let part = &mut self.parts[place];
+            if part.part.copies_dataset {
+                self.copied.push((Rc::clone(&source), out.clone()));
+            }
+            part.frames += clip.frames - self.references;
+            part.folders.push(out);
+        }
+        Ok(())
+    }
+
+    /// Generates a clip.
+    fn generate_clip(
+        &self,
+        locator: &LogLocator,
+        skeleton: &Path,
+        part: &Part,
+        clip: &Clip,
+        out: &Path,
+    ) -> anyhow::Result<()> {
+        let args = self.args;
+        let generation =
+            GenerationArgs { generator: Some(args.generator.clone()), options: args.generating.clone() };
+        let summary = simulate::rollout(SimulateArgs::of_clip(ClipArgs {
+            log: locator.clone(),
+            roots: args.given.roots.clone(),
+            skeleton: skeleton.to_owned(),
+            out: out.to_owned(),
+            generation,
+            steps: clip.steps(),
+            clock: Some(clip.clock),
+            ego: part.ego.kind(),
+            least_warmup: true,
+            start: Some(clip.start_us),
+            ego_offset: None,
+            maps: args.maps.clone(),
+            resume: is_there(&out.join(ROLLOUT))?,
+            resume_from: None,
+            profile: None,
+            copies_dataset: false,
+            annotations: args.annotations.clone(),
+            stand_ins: args.stand_ins.clone(),
+            rasterizer: args.rasterizer.clone(),
+            opener: Arc::clone(&self.opener),
+        }))?;
+        tell(&summary);
+        Ok(())
+    }
+
+    /// Scores all rollouts, writes and prints the table, and writes the copy of the data set.
+    fn finish(self, dataset: &Path) -> anyhow::Result<()> {
+        let progress = RefCell::new(None);
+        let mut on_start = |steps| *progress.borrow_mut() = Some(Progress::new(steps));
+        let mut on_step =
+            |name: &str| progress.borrow_mut().iter_mut().for_each(|progress| progress.step(name));
+        let rollouts = (self.args.given.out.as_path(), self.parts.as_slice());
+        let report = ProtocolReport::score(self.protocol, &self.logs, rollouts, &mut on_start, &mut on_step)?;
+        drop(progress);
+        write_json(&self.files.claim("results.json")?, &report)?;
+        let (path, table) = (self.files.claim("table.md")?, report.table());
+        write_whole(&path, |out| {
+            std::io::Write::write_all(out, table.as_bytes()).map_err(FileError::io("write", &path))
+        })?;
+        let logs: Vec<CopiedLog<'_>> =
+            (self.copied.iter()).map(|(log, rollout)| CopiedLog { log: log.recording(), rollout }).collect();
+        if let Some(copy) = self.copy.filter(|_| !logs.is_empty()) {
+            let counts = copy.write(&logs)?;
+            let place = dataset.display();
+            tell(&format!("{} images replaced, {} kept: {place}", counts.replaced, counts.kept));
+        }
+        say(table.trim_end());
+        Ok(())
+    }
+}
+
+/// Checks that all logs are of one nuScenes data set, which a part copies.
+fn check_one_dataset(part: &Part, logs: &[LogLocator]) -> Result<(), WrongUsage> {
+    let first = logs.first().map(|log| &log.path);
+    let other = logs.iter().find(|log| *log.format != nuscenes::FORMAT || Some(&log.path) != first);
+    other.map_or(Ok(()), |other| {
+        let (name, other) = (part.name, other.to_string());
+        Err(WrongUsage(format!(
+            "expected recordings nuscenes:.. of one folder for part {name}, found {other}"
+        )))
+    })
+}
