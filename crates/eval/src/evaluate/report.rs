@@ -34,18 +34,17 @@ pub(super) struct ScoredRollout {
     scores: Scores,
 }
 
-const HEADER: [&str; 11] = [
-    "rollout",
-    "steps",
-    "PSNR (dB)",
-    "slope (dB/s)",
-    "SSIM",
-    "slope (1/s)",
-    "sharpness ratio",
-    "seams",
-    "motion",
-    "flicker",
-    "IoU masks",
+/// Columns of the table: name, metric, digits.
+const COLUMNS: [(&str, &str, usize); 9] = [
+    ("PSNR (dB)", "psnr_db", 2),
+    ("slope (dB/s)", "psnr_db_slope_per_s", 3),
+    ("SSIM", "ssim", 3),
+    ("slope (1/s)", "ssim_slope_per_s", 4),
+    ("sharpness ratio", "sharpness_ratio", 3),
+    ("seams", "seam_ratio_4", 3),
+    ("motion", "motion_slope", 3),
+    ("flicker", "flicker", 3),
+    ("IoU masks", "iou_masks", 3),
 ];
 
 impl ScoredRollout {
@@ -81,20 +80,10 @@ impl ScoredRollout {
     }
 
     fn row(&self) -> Vec<String> {
-        let Scores { psnr_db, ssim, sharpness_ratio, seams, motion, iou, steps, .. } = &self.scores;
-        let values = [
-            (psnr_db.mean, 2),
-            (psnr_db.drift.map(|d| d.slope_per_s), 3),
-            (ssim.mean, 3),
-            (ssim.drift.map(|d| d.slope_per_s), 4),
-            (sharpness_ratio.mean, 3),
-            (seams.get(&4).copied().flatten(), 3),
-            (motion.and_then(|m| m.slope), 3),
-            (motion.and_then(|m| m.flicker), 3),
-            (iou.get("masks").and_then(|iou| iou.generated), 3),
-        ];
-        let cells = values.into_iter().map(|(value, digits)| number(value, digits));
-        [self.folder.clone(), steps.to_string()].into_iter().chain(cells).collect()
+        let numbers = self.scores.numbers();
+        let value = |metric: &str| numbers.get(metric).copied().flatten();
+        let cells = COLUMNS.map(|(_, metric, digits)| number(value(metric), digits));
+        [self.folder.clone(), self.scores.steps.to_string()].into_iter().chain(cells).collect()
     }
 }
 
@@ -125,23 +114,13 @@ impl Report {
 
     /// Formats a row per rollout, and one with their means and intervals.
     pub fn table(&self) -> String {
-        let mut cells = vec![HEADER.map(str::to_owned).to_vec()];
+        let header = ["rollout", "steps"].into_iter().chain(COLUMNS.map(|(name, ..)| name));
+        let mut cells: Vec<Vec<String>> = vec![header.map(str::to_owned).collect()];
         cells.extend(self.rollouts.iter().map(ScoredRollout::row));
         if self.rollouts.len() > 1 {
-            let names = [
-                ("psnr_db", 2),
-                ("psnr_db_slope_per_s", 3),
-                ("ssim", 3),
-                ("ssim_slope_per_s", 4),
-                ("sharpness_ratio", 3),
-                ("seam_ratio_4", 3),
-                ("motion_slope", 3),
-                ("flicker", 3),
-                ("iou_masks", 3),
-            ];
-            let cell = |(name, digits): (&str, usize)| interval(self.mean(name), digits);
+            let means = COLUMNS.map(|(_, metric, digits)| interval(self.mean(metric), digits));
             let first = ["mean, 95 %".to_owned(), self.steps().to_string()];
-            cells.push(first.into_iter().chain(names.map(cell)).collect());
+            cells.push(first.into_iter().chain(means).collect());
         }
         aligned(&cells)
     }

@@ -4,7 +4,7 @@ use super::measure::{MaskRow, Row};
 use super::recorded::CameraRow;
 use super::{FidelityReport, Rows};
 use crate::FilledError;
-use crate::table::{aligned, number};
+use crate::table::{aligned, markdown, number};
 use point_skeleton::files::FileKind;
 
 const POSE_HEADER: [&str; 14] = [
@@ -59,7 +59,7 @@ impl FidelityReport {
 
     /// Formats the rows as CSV.
     pub fn csv(&self) -> String {
-        csv(&self.rows.cells())
+        self.rows.cells().iter().map(|row| row.join(",") + "\n").collect()
     }
 
     /// Formats the rows as Markdown.
@@ -116,27 +116,4 @@ fn pose_row(row: &Row) -> Vec<String> {
         near(&row.templates),
         near(&row.own_points),
     ]
-}
-
-fn csv(cells: &[Vec<String>]) -> String {
-    cells.iter().map(|row| row.join(",") + "\n").collect()
-}
-
-fn markdown(cells: &[Vec<String>]) -> String {
-    let line = |row: &Vec<String>| format!("| {} |\n", row.join(" | "));
-    let Some((header, rows)) = cells.split_first() else { return String::new() };
-    let rule = format!("|{}\n", "---|".repeat(header.len()));
-    line(header) + &rule + &rows.iter().map(line).collect::<String>()
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn formats_csv_and_markdown() {
-        let cells = vec![vec!["a".to_owned(), "bcd".to_owned()], vec!["ef".to_owned(), "1".to_owned()]];
-        assert_eq!(csv(&cells), "a,bcd\nef,1\n");
-        assert_eq!(markdown(&cells), "| a | bcd |\n|---|---|\n| ef | 1 |\n");
-    }
 }

@@ -1,4 +1,3 @@
-use std::fmt::Write;
 use std::path::{Path, PathBuf};
 
 use point_skeleton::error::FileError;
@@ -7,7 +6,7 @@ use pskel_sim::rollout::METRICS;
 use serde::{Deserialize, Serialize};
 
 use super::definition::{Part, Protocol};
-use crate::table::interval;
+use crate::table::{interval, markdown};
 use crate::{EvaluateError, EvaluateOptions, MeanInterval, Report, evaluate, mean_interval};
 
 /// Metrics of generated images: name in [`Report::mean`], column, digits.
@@ -112,27 +111,23 @@ impl ProtocolReport {
 
     /// Formats a row per part as Markdown, with means and 95 % confidence intervals over clips.
     pub fn table(&self) -> String {
-        let columns = COLUMNS.map(|(_, column, _)| column).join(" | ");
-        let mut text = format!(
-            "| {} | clips | frames | {columns} | at-fault collisions | off-road share |\n",
-            self.protocol
-        );
-        text += &format!("{}|\n", "|---".repeat(COLUMNS.len() + 5));
-        for PartReport { name, clips, frames, driving, images } in &self.parts {
+        let columns = COLUMNS.map(|(_, column, _)| column);
+        let header = [self.protocol, "clips", "frames"].into_iter().chain(columns);
+        let header = header.chain(["at-fault collisions", "off-road share"]).map(str::to_owned);
+        let row = |part: &PartReport| -> Vec<String> {
+            let PartReport { name, clips, frames, driving, images } = part;
             let generated = match images.steps() {
                 all if all == *frames => all.to_string(),
                 fewer => format!("{fewer} of {frames}"),
             };
-            let means = COLUMNS.map(|(metric, _, digits)| interval(images.mean(metric), digits)).join(" | ");
+            let means = COLUMNS.map(|(metric, _, digits)| interval(images.mean(metric), digits));
             let Driving { at_fault_collisions, off_road_share } = driving;
-            // Writing to a string cannot fail.
-            let _ = writeln!(
-                text,
-                "| {name} | {clips} | {generated} | {means} | {at_fault_collisions} | {} |",
-                interval(*off_road_share, 3)
-            );
-        }
-        text + "\n" + &self.logs.sentence() + "\n"
+            let last = [at_fault_collisions.to_string(), interval(*off_road_share, 3)];
+            let first = [(*name).to_owned(), clips.to_string(), generated];
+            first.into_iter().chain(means).chain(last).collect()
+        };
+        let cells: Vec<_> = std::iter::once(header.collect()).chain(self.parts.iter().map(row)).collect();
+        markdown(&cells) + "\n" + &self.logs.sentence() + "\n"
     }
 }
 

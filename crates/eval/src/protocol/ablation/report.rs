@@ -11,6 +11,7 @@ use serde::Serialize;
 use super::rows::{Row, Table};
 use super::run::RunResult;
 use crate::plot::{Curve, Plot};
+use crate::table::interval;
 use crate::{MeanInterval, mean_interval, paired_difference};
 
 /// Reported metrics: name in the results, column, digits.
@@ -145,14 +146,8 @@ impl RowReport {
 }
 
 fn cells(numbers: &BTreeMap<String, Option<MeanInterval>>) -> Vec<String> {
-    let cell = |(name, _, digits): &(&str, &str, usize)| match numbers.get(*name).copied().flatten() {
-        None => "-".to_owned(),
-        Some(MeanInterval { mean, half_width: None, .. }) => format!("{mean:.digits$}"),
-        Some(MeanInterval { mean, half_width: Some(width), .. }) => {
-            format!("{mean:.digits$} ± {width:.digits$}")
-        }
-    };
-    COLUMNS.iter().map(cell).collect()
+    let cell = |(name, _, digits)| interval(numbers.get(name).copied().flatten(), digits);
+    COLUMNS.map(cell).to_vec()
 }
 
 #[cfg(test)]
