@@ -99,7 +99,7 @@ render --out "$out/maps"
 render --out "$out/maps-moved" --ego-offset left_m=2,yaw_deg=-5
 if [[ $log == town:* ]]; then
     pskel fidelity --skeleton "$out/skeleton" --frames "$frames" --out-size "$size" --splat "$splat" \
-        --markdown "$out/fidelity.md" --csv "$out/fidelity.csv"
+        --out "$out/fidelity.md" --out "$out/fidelity.csv"
 fi
 pskel simulate --skeleton "$out/skeleton" --out "$out/rollout" --ego lane_change --actors idm --steps "$steps" \
     --out-size "$size" --splat "$splat" ${simulate[@]+"${simulate[@]}"}

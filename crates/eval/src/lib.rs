@@ -3,22 +3,19 @@
 //! # How it works
 //! Leaf functions compare two images ([`psnr_db`], [`ssim`], [`sharpness`]), two masks ([`Overlap`]) or two
 //! sets of features ([`frechet_distance`]). [`RolloutScores`] takes the steps of a rollout, in memory, and
-//! computes a series per metric with its [`Drift`], the [`Motion`] of actors, and the features of
-//! [`RandomConvNet`]. [`CollectedFeatures`] computes distances between the features of many rollouts, and
-//! [`MeanInterval`] averages over rollouts. These read no files. [`evaluate`] scores the rollouts in folders,
-//! `fidelity` (feature `town`) compares the maps of the synthetic town with its ground truth, and `ablate`
-//! (feature `network`) generates images with variants of the generator and compares their scores.
-//! [`protocol`] defines evaluation protocols, and [`bench`](mod@bench) measures the speed of rendering.
+//! computes a series per metric with its [`Drift`], and the [`Motion`] of actors. [`MeanInterval`] averages
+//! over rollouts. These read no files. [`evaluate`] scores the rollouts in folders, `fidelity` (feature
+//! `town`) compares maps with the ground truth of the synthetic town or with recorded images. [`protocol`]
+//! defines evaluation protocols; `protocol::ablation` (feature `network`) compares variants of the generator.
+//! [`bench`](mod@bench) measures the speed of rendering.
 
-#[cfg(feature = "network")]
-pub mod ablate;
 pub mod bench;
 mod depth;
-mod distribution;
 mod drift;
 mod evaluate;
 #[cfg(feature = "town")]
 mod fidelity;
+mod frechet;
 mod images;
 pub mod plot;
 pub mod protocol;
@@ -28,13 +25,14 @@ mod table;
 mod vehicles;
 
 pub use depth::{DepthErrors, DepthSummary};
-pub use distribution::conv_net::RandomConvNet;
-pub use distribution::features::{FeatureSet, WINDOW_FRAMES, window_features};
-pub use distribution::frechet::{FrechetError, frechet_distance};
 pub use drift::Drift;
 pub use evaluate::{EvaluateError, EvaluateOptions, Report, SCORES, evaluate};
 #[cfg(feature = "town")]
-pub use fidelity::{FidelityError, FidelityFiles, FidelityReport, MaskRow, POSES, Row, fidelity};
+pub use fidelity::{
+    CameraRow, FidelityError, FidelityFiles, FidelityFrames, FidelityReport, FidelitySource, MaskRow, Row,
+    Rows, fidelity,
+};
+pub use frechet::{FeatureSet, FrechetError, frechet_distance};
 pub use images::image_quality::{FilledError, compare_filled, psnr_db};
 pub use images::motion::{MOVING_MPS, Motion, MotionSums, MovingFrame, moving_mask};
 pub use images::seams::SeamSums;
@@ -42,11 +40,7 @@ pub use images::sharpness::sharpness;
 pub use images::ssim::ssim;
 #[cfg(feature = "network")]
 pub use plot::loss::loss_plot;
-pub use scores::{
-    CollectedFeatures, Distance, Distances, RolloutScores, ScoreError, ScoredFrame, Scores,
-    SegmentationMasks, Series, VehicleIou,
-};
+pub use scores::{RolloutScores, ScoreError, ScoredFrame, Scores, Series, VehicleIou};
 pub use statistics::{MeanInterval, mean_interval, paired_difference};
 pub use vehicles::masks::Overlap;
-pub use vehicles::patch_classifier::{PatchClassifier, PatchClassifierError, PatchOptions, PatchTrainer};
 pub use vehicles::pseudo_label::{VEHICLE_CLASS, vehicle_mask};

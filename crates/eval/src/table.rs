@@ -27,6 +27,14 @@ pub(crate) fn aligned(cells: &[Vec<String>]) -> String {
     cells.iter().map(line).collect()
 }
 
+/// Formats cells as Markdown; the first row is the header.
+pub(crate) fn markdown(cells: &[Vec<String>]) -> String {
+    let line = |row: &Vec<String>| format!("| {} |\n", row.join(" | "));
+    let Some((header, rows)) = cells.split_first() else { return String::new() };
+    let rule = format!("|{}\n", "---|".repeat(header.len()));
+    line(header) + &rule + &rows.iter().map(line).collect::<String>()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -38,6 +46,12 @@ mod tests {
         let cells = |rows: [[&str; 2]; 2]| rows.map(|row| row.map(str::to_owned).to_vec()).to_vec();
         assert_eq!(aligned(&cells([["a", "bcd"], ["ef", "1"]])), " a  bcd\nef    1\n");
         assert_eq!(aligned(&cells([["a", "1 ± 2"], ["bc", "-"]])), " a  1 ± 2\nbc      -\n");
+    }
+
+    #[test]
+    fn formats_markdown() {
+        let cells = vec![vec!["a".to_owned(), "bcd".to_owned()], vec!["ef".to_owned(), "1".to_owned()]];
+        assert_eq!(markdown(&cells), "| a | bcd |\n|---|---|\n| ef | 1 |\n");
     }
 
     #[test]

@@ -53,10 +53,10 @@ enum Command {
     #[cfg(feature = "network")]
     Generate(Box<commands::generate::GenerateArgs>),
     Evaluate(commands::evaluate::EvaluateArgs),
+    /// Run an evaluation protocol
     #[cfg(feature = "network")]
-    Ablate(commands::ablate::AblateArgs),
-    #[cfg(feature = "network")]
-    Protocol(Box<commands::protocol::ProtocolArgs>),
+    #[command(subcommand, disable_help_subcommand = true)]
+    Protocol(commands::protocol::ProtocolCommand),
 }
 
 impl Command {
@@ -81,9 +81,7 @@ impl Command {
             Self::Generate(args) => commands::generate::run(*args),
             Self::Evaluate(args) => commands::evaluate::run(&args),
             #[cfg(feature = "network")]
-            Self::Ablate(args) => commands::ablate::run(&args),
-            #[cfg(feature = "network")]
-            Self::Protocol(args) => commands::protocol::run(&args),
+            Self::Protocol(command) => commands::protocol::run(command),
         }
     }
 }

@@ -3,8 +3,6 @@ use std::path::Path;
 
 use point_skeleton::error::FileError;
 
-use crate::{FrechetError, PatchClassifierError};
-
 /// Error of scoring rollouts.
 #[derive(Debug, thiserror::Error)]
 pub enum EvaluateError {
@@ -19,12 +17,6 @@ pub enum EvaluateError {
     /// A file is missing or damaged.
     #[error("{0}")]
     File(#[from] FileError),
-    /// The distance between features cannot be computed.
-    #[error("{0}")]
-    Distance(#[from] FrechetError),
-    /// The patch classifier does not fit the images.
-    #[error("{0}")]
-    Classifier(#[from] PatchClassifierError),
     /// Images, features or masks do not fit.
     #[error("{source}: {place}")]
     At {

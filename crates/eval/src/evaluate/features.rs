@@ -5,9 +5,23 @@ use std::path::Path;
 use point_skeleton::cloud::npy::read_features;
 use point_skeleton::error::FileError;
 use point_skeleton::memory::{MemoryError, Need, Reservation, reserve};
+use serde::Serialize;
 
 use super::error::EvaluateError;
-use crate::{Distance, FeatureSet, frechet_distance};
+use crate::{FeatureSet, frechet_distance};
+
+/// A Fréchet distance, with the sizes of its feature sets.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub(super) struct Distance {
+    /// The distance, see [`frechet_distance`].
+    pub(super) distance: f64,
+    /// Row count of generated features.
+    generated: usize,
+    /// Row count of ground-truth features.
+    truth: usize,
+    /// Number of features per row.
+    features: usize,
+}
 
 /// Returns the Fréchet distance between features of generated and ground-truth images.
 pub(super) fn distance(generated: &Path, truth: &Path) -> Result<Distance, EvaluateError> {
@@ -19,16 +33,17 @@ pub(super) fn distance(generated: &Path, truth: &Path) -> Result<Distance, Evalu
         generated.display(),
         truth.display()
     )))?;
-    Ok(Distance { distance, generated: a.len(), truth: b.len(), features: a.columns() })
+    Ok(Distance { distance, generated: a.rows().len(), truth: b.rows().len(), features: a.columns() })
 }
 
 /// Reserves the memory of deviations, and of covariances or products and their eigenvectors.
 fn reserve_moments(a: &FeatureSet, b: &FeatureSet) -> Result<Reservation, MemoryError> {
     const MATRICES: u64 = 6;
-    let side = a.columns().min(a.len().max(b.len())) as u64;
-    let numbers = (a.values().len() + b.values().len()) as u64;
+    let ([a_rows, b_rows], columns) = ([a, b].map(|set| set.rows().len()), a.columns());
+    let side = columns.min(a_rows.max(b_rows)) as u64;
+    let numbers = (a_rows * columns + b_rows * b.columns()) as u64;
     let bytes = numbers.saturating_add(MATRICES * side.saturating_mul(side)).saturating_mul(8);
-    let what = || format!("a distance of {} and {} rows of {} features", a.len(), b.len(), a.columns());
+    let what = || format!("a distance of {a_rows} and {b_rows} rows of {columns} features");
     reserve(bytes, || Need { what: what(), bytes, advice: "files of fewer rows or features need less" })
 }
 

@@ -4,27 +4,20 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use crate::table::{aligned, interval, number};
-use crate::{
-    CollectedFeatures, Distance, Distances, FrechetError, MeanInterval, Scores, mean_interval,
-    paired_difference,
-};
+use crate::{MeanInterval, Scores, mean_interval};
 use point_skeleton::files::{FileKind, FileName};
 use serde::Serialize;
 
+use super::features::Distance;
 use super::rollout::GeneratedRollout;
-use super::segmentor::{GIVEN, PATCHES, PatchesAbout, Segmentors};
 
 /// All results.
 #[derive(Debug, Serialize)]
 pub struct Report {
-    seed: u64,
     /// Means over rollouts, by metric name; `null` if no rollout has the metric.
     mean: BTreeMap<String, Option<MeanInterval>>,
-    /// Distances over the images and videos of all rollouts.
-    distances: Distances,
-    /// Feature distance by another network.
+    /// Fréchet distance of the given features.
     given_features: Option<Distance>,
-    patch_classifier: PatchesAbout,
     notes: Vec<String>,
     rollouts: Vec<ScoredRollout>,
 }
@@ -41,20 +34,17 @@ pub(super) struct ScoredRollout {
     scores: Scores,
 }
 
-const HEADER: [&str; 13] = [
-    "rollout",
-    "steps",
-    "PSNR (dB)",
-    "slope (dB/s)",
-    "SSIM",
-    "slope (1/s)",
-    "sharpness ratio",
-    "seams",
-    "motion",
-    "flicker",
-    "IoU patches",
-    "IoU ratio",
-    "IoU masks",
+/// Columns of the table: name, metric, digits.
+const COLUMNS: [(&str, &str, usize); 9] = [
+    ("PSNR (dB)", "psnr_db", 2),
+    ("slope (dB/s)", "psnr_db_slope_per_s", 3),
+    ("SSIM", "ssim", 3),
+    ("slope (1/s)", "ssim_slope_per_s", 4),
+    ("sharpness ratio", "sharpness_ratio", 3),
+    ("seams", "seam_ratio_4", 3),
+    ("motion", "motion_slope", 3),
+    ("flicker", "flicker", 3),
+    ("IoU masks", "iou_masks", 3),
 ];
 
 impl ScoredRollout {
@@ -83,68 +73,28 @@ impl ScoredRollout {
         if motion.is_none() {
             note("no motion: two steps in a row need truth and instance maps as PNG".to_owned());
         }
-        if iou.values().any(|iou| iou.generated.is_none()) || iou.is_empty() {
-            note("no IoU: it needs class maps as PNG that show vehicles, and a segmentor".to_owned());
+        if iou.values().any(|iou| iou.generated.is_none()) {
+            note("no IoU: it needs class maps as PNG, and vehicles in these or in the masks".to_owned());
         }
         notes
     }
 
     fn row(&self) -> Vec<String> {
-        let Scores { psnr_db, ssim, sharpness_ratio, seams, motion, iou, steps, .. } = &self.scores;
-        let patches = iou.get(PATCHES);
-        let values = [
-            (psnr_db.mean, 2),
-            (psnr_db.drift.map(|d| d.slope_per_s), 3),
-            (ssim.mean, 3),
-            (ssim.drift.map(|d| d.slope_per_s), 4),
-            (sharpness_ratio.mean, 3),
-            (seams.get(&4).copied().flatten(), 3),
-            (motion.and_then(|m| m.slope), 3),
-            (motion.and_then(|m| m.flicker), 3),
-            (patches.and_then(|iou| iou.generated), 3),
-            (patches.and_then(|iou| iou.ratio), 3),
-            (iou.get(GIVEN).and_then(|iou| iou.generated), 3),
-        ];
-        let cells = values.into_iter().map(|(value, digits)| number(value, digits));
-        [self.folder.clone(), steps.to_string()].into_iter().chain(cells).collect()
+        let numbers = self.scores.numbers();
+        let value = |metric: &str| numbers.get(metric).copied().flatten();
+        let cells = COLUMNS.map(|(_, metric, digits)| number(value(metric), digits));
+        [self.folder.clone(), self.scores.steps.to_string()].into_iter().chain(cells).collect()
     }
 }
 
 /// Files of reports.
 pub const SCORES: FileKind =
-    FileKind { name: "scores of pskel evaluate", begin: b"{\n  \"seed\": ", marks: &[b"\n  \"mean\": {"] };
+    FileKind { name: "scores of pskel evaluate", begin: b"{\n  \"mean\": {\n    \"flicker\": ", marks: &[] };
 
 impl Report {
-    pub(super) fn new(
-        rollouts: Vec<ScoredRollout>,
-        features: &CollectedFeatures,
-        segmentors: &Segmentors,
-        given_features: Option<Distance>,
-        seed: u64,
-    ) -> Result<Self, FrechetError> {
-        let distances = features.distances()?;
-        let mut notes: Vec<String> = rollouts.iter().flat_map(ScoredRollout::notes).collect();
-        if let Some(missing) = &segmentors.about.missing {
-            notes.push(format!("no patch classifier: {missing}"));
-        }
-        if distances.images.is_none() {
-            notes.push("no distance of images: it needs 2 generated and 2 true ones".to_owned());
-        }
-        if distances.videos.is_none() {
-            notes.push(format!(
-                "no distance of videos: it needs 2 generated and 2 true windows of {} steps",
-                distances.window_frames
-            ));
-        }
-        Ok(Self {
-            seed,
-            mean: means(&rollouts),
-            distances,
-            given_features,
-            patch_classifier: segmentors.about.clone(),
-            notes,
-            rollouts,
-        })
+    pub(super) fn new(rollouts: Vec<ScoredRollout>, given_features: Option<Distance>) -> Self {
+        let notes = rollouts.iter().flat_map(ScoredRollout::notes).collect();
+        Self { mean: means(&rollouts), given_features, notes, rollouts }
     }
 
     /// Returns notes on missing metrics, with reasons.
@@ -157,11 +107,6 @@ impl Report {
         self.mean.get(metric).copied().flatten()
     }
 
-    /// Returns the Fréchet distances over all rollouts.
-    pub fn distances(&self) -> &Distances {
-        &self.distances
-    }
-
     /// Returns the number of scored steps of all rollouts.
     pub fn steps(&self) -> usize {
         self.rollouts.iter().map(|rollout| rollout.scores.steps).sum()
@@ -169,25 +114,13 @@ impl Report {
 
     /// Formats a row per rollout, and one with their means and intervals.
     pub fn table(&self) -> String {
-        let mut cells = vec![HEADER.map(str::to_owned).to_vec()];
+        let header = ["rollout", "steps"].into_iter().chain(COLUMNS.map(|(name, ..)| name));
+        let mut cells: Vec<Vec<String>> = vec![header.map(str::to_owned).collect()];
         cells.extend(self.rollouts.iter().map(ScoredRollout::row));
         if self.rollouts.len() > 1 {
-            let names = [
-                ("psnr_db", 2),
-                ("psnr_db_slope_per_s", 3),
-                ("ssim", 3),
-                ("ssim_slope_per_s", 4),
-                ("sharpness_ratio", 3),
-                ("seam_ratio_4", 3),
-                ("motion_slope", 3),
-                ("flicker", 3),
-                ("iou_patch_classifier", 3),
-                ("iou_patch_classifier_ratio", 3),
-                ("iou_masks", 3),
-            ];
-            let cell = |(name, digits): (&str, usize)| interval(self.mean(name), digits);
+            let means = COLUMNS.map(|(_, metric, digits)| interval(self.mean(metric), digits));
             let first = ["mean, 95 %".to_owned(), self.steps().to_string()];
-            cells.push(first.into_iter().chain(names.map(cell)).collect());
+            cells.push(first.into_iter().chain(means).collect());
         }
         aligned(&cells)
     }
@@ -196,31 +129,22 @@ impl Report {
     pub fn summary(&self) -> String {
         let images: usize = self.rollouts.iter().map(|r| r.scores.steps * r.scores.cameras).sum();
         let count = self.rollouts.len();
-        let distance = |name: &str, distance: Option<Distance>| {
-            distance.map_or_else(String::new, |d| format!(", {name} {:.3}", d.distance))
-        };
+        let given = self.given_features.map_or_else(String::new, |given| {
+            format!(", Fréchet distance of given features {:.3}", given.distance)
+        });
         format!(
-            "scored {images} images of {count} rollout{}: PSNR {} dB{}{}{}",
+            "scored {images} images of {count} rollout{}: PSNR {} dB{given}",
             if count == 1 { "" } else { "s" },
             interval(self.mean("psnr_db"), 2),
-            distance("Fréchet distance of images", self.distances.images),
-            distance("of videos", self.distances.videos),
-            distance("of given features", self.given_features),
         )
     }
 }
 
 fn means(rollouts: &[ScoredRollout]) -> BTreeMap<String, Option<MeanInterval>> {
     let numbers: Vec<_> = rollouts.iter().map(|rollout| rollout.scores.numbers()).collect();
-    let all = |name: &str| -> Vec<Option<f64>> {
-        numbers.iter().map(|numbers| numbers.get(name).copied().flatten()).collect()
+    let mean = |name: &String| {
+        let values = numbers.iter().filter_map(|numbers| numbers.get(name).copied().flatten());
+        (name.clone(), mean_interval(&values.collect::<Vec<_>>()))
     };
-    let known = |values: &[Option<f64>]| mean_interval(&values.iter().flatten().copied().collect::<Vec<_>>());
-    let names = numbers.iter().flat_map(BTreeMap::keys);
-    let mut means: BTreeMap<_, _> = names.map(|name| (name.clone(), known(&all(name)))).collect();
-    for name in rollouts.iter().flat_map(|rollout| rollout.scores.iou.keys()) {
-        let difference = paired_difference(&all(&format!("iou_{name}")), &all(&format!("iou_{name}_truth")));
-        means.insert(format!("iou_{name}_minus_truth"), difference);
-    }
-    means
+    numbers.iter().flat_map(BTreeMap::keys).map(mean).collect()
 }

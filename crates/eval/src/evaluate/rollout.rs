@@ -32,9 +32,9 @@ pub(super) struct GeneratedRollout {
 
 /// Step with generated images.
 pub(super) struct Step {
-    pub(super) name: String,
+    name: String,
     /// Number of the planning step, from 0.
-    pub(super) frame: usize,
+    frame: usize,
     /// Time since the first step of the rollout, seconds.
     pub(super) t_s: f64,
     pub(super) folder: PathBuf,
@@ -49,9 +49,6 @@ pub(super) struct Frame {
     pub(super) class: Option<Vec<Vec<u8>>>,
     pub(super) moving: Option<Vec<Vec<bool>>>,
 }
-
-/// Ground-truth images and class maps of a step.
-pub(super) type Truth = (Vec<RgbImage>, Vec<Vec<u8>>);
 
 impl GeneratedRollout {
     /// Finds the generated images, and reads only the sizes of the first ones.
@@ -87,11 +84,6 @@ impl GeneratedRollout {
         Ok(Self { folder: folder.to_owned(), cameras, sizes, steps, references })
     }
 
-    /// Opens rollouts, in the order of their folders.
-    pub(super) fn open_all(folders: &[PathBuf]) -> Result<Vec<Self>, FileError> {
-        folders.iter().map(|folder| Self::open(folder)).collect()
-    }
-
     /// Drops all steps but every N-th frame, N - 1, 2 N - 1, ..
     ///
     /// # Errors
@@ -115,10 +107,10 @@ impl GeneratedRollout {
         Ok(Frame { generated, truth: self.truth(step)?, class, moving: instance.map(moving) })
     }
 
-    /// Reads ground-truth images and class maps of a step; `None` unless both exist.
-    pub(super) fn read_truth(&self, step: &Step) -> Result<Option<Truth>, FileError> {
-        let Some(truth) = self.truth(step)? else { return Ok(None) };
-        Ok(self.maps(step, "class", picture::class)?.map(|class| (truth, class)))
+    /// Reads vehicle masks `NNNNNN/CAM.png` of a step, of any size.
+    pub(super) fn masks(&self, step: &Step, folder: &Path) -> Result<Vec<Vec<bool>>, FileError> {
+        let path = |camera: &FileName| folder.join(&step.name).join(format!("{camera}.png"));
+        self.reduced(path, picture::mask)
     }
 
     /// Returns the name of a step in messages.
@@ -127,7 +119,7 @@ impl GeneratedRollout {
     }
 
     /// Reads the ground-truth images of a step; `None` if there are none.
-    pub(super) fn truth(&self, step: &Step) -> Result<Option<Vec<RgbImage>>, FileError> {
+    fn truth(&self, step: &Step) -> Result<Option<Vec<RgbImage>>, FileError> {
         step.folder.join(TRUTH).is_dir().then(|| self.images(step, TRUTH)).transpose()
     }
 
@@ -151,12 +143,20 @@ impl GeneratedRollout {
         if !self.cameras.first().is_some_and(|camera| path(camera).exists()) {
             return Ok(None);
         }
+        self.reduced(path, read).map(Some)
+    }
+
+    /// Reads a file per camera, reduced to the size of the generated images.
+    fn reduced<T: Copy + Send + Sync>(
+        &self,
+        path: impl Fn(&FileName) -> PathBuf + Sync,
+        read: fn(&Path) -> Result<Read<T>, FileError>,
+    ) -> Result<Vec<Vec<T>>, FileError> {
         let reduced = |(camera, to): (&FileName, &ImageSize)| {
             let (map, from) = read(&path(camera))?;
             Ok(nearest(&map, from, *to))
         };
-        let maps: Result<_, FileError> = self.cameras.par_iter().zip(&self.sizes).map(reduced).collect();
-        maps.map(Some)
+        self.cameras.par_iter().zip(&self.sizes).map(reduced).collect()
     }
 }
 

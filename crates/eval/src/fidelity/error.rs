@@ -12,7 +12,7 @@ pub enum FidelityError {
         /// Name of the log.
         log: String,
     },
-    /// The HD map cannot be read.
+    /// The HD map or an image cannot be read.
     #[error("{0}")]
     Dataset(#[from] DatasetError),
     /// The ground truth cannot be rendered.

@@ -169,7 +169,8 @@ impl MaskSums {
     }
 }
 
-fn mean(errors: &[FilledError]) -> FilledError {
+/// Returns the means over images; of the PSNR over those with filled pixels.
+pub(super) fn mean(errors: &[FilledError]) -> FilledError {
     let mean = |of: fn(&FilledError) -> f64| {
         let values: Vec<f64> = errors.iter().map(of).filter(|v| !v.is_nan()).collect();
         values.iter().sum::<f64>() / values.len() as f64

@@ -1,11 +1,13 @@
 //! Text formats of the table.
 
-use super::FidelityReport;
 use super::measure::{MaskRow, Row};
-use crate::table::{aligned, number};
+use super::recorded::CameraRow;
+use super::{FidelityReport, Rows};
+use crate::FilledError;
+use crate::table::{aligned, markdown, number};
 use point_skeleton::files::FileKind;
 
-const HEADER: [&str; 14] = [
+const POSE_HEADER: [&str; 14] = [
     "pose",
     "images",
     "PSNR (dB)",
@@ -22,6 +24,9 @@ const HEADER: [&str; 14] = [
     "same, own points only",
 ];
 
+const CAMERA_HEADER: [&str; 6] =
+    ["camera", "images", "PSNR (dB)", "filled (%)", "mean error (levels)", "median error (levels)"];
+
 /// File kinds of a report.
 pub struct FidelityFiles;
 
@@ -35,49 +40,71 @@ impl FidelityFiles {
     /// Table as CSV.
     pub const CSV: FileKind = FileKind {
         name: "a table of pskel fidelity",
-        begin: b"pose,images,PSNR (dB),filled (%),",
-        marks: &[],
+        begin: b"",
+        marks: &[b",images,PSNR (dB),filled (%),"],
     };
     /// Table as Markdown.
     pub const MARKDOWN: FileKind = FileKind {
         name: "a table of pskel fidelity",
-        begin: b"| pose | images | PSNR (dB) | filled (%) |",
-        marks: &[],
+        begin: b"| ",
+        marks: &[b" | images | PSNR (dB) | filled (%) |"],
     };
 }
 
 impl FidelityReport {
-    /// Formats a row per pose, with aligned columns.
+    /// Formats the rows with aligned columns.
     pub fn table(&self) -> String {
-        aligned(&cells(&self.poses))
+        aligned(&self.rows.cells())
     }
 
-    /// Formats a row per pose as CSV.
+    /// Formats the rows as CSV.
     pub fn csv(&self) -> String {
-        csv(&cells(&self.poses))
+        self.rows.cells().iter().map(|row| row.join(",") + "\n").collect()
     }
 
-    /// Formats a row per pose as Markdown.
+    /// Formats the rows as Markdown.
     pub fn markdown(&self) -> String {
-        markdown(&cells(&self.poses))
+        markdown(&self.rows.cells())
     }
 }
 
-/// Returns the cells of header and rows.
-fn cells(rows: &[Row]) -> Vec<Vec<String>> {
-    let header = HEADER.map(str::to_owned).to_vec();
-    std::iter::once(header).chain(rows.iter().map(row)).collect()
+impl Rows {
+    /// Returns the cells of header and rows.
+    fn cells(&self) -> Vec<Vec<String>> {
+        let (header, rows): (&[&str], Vec<_>) = match self {
+            Self::Poses(rows) => (&POSE_HEADER, rows.iter().map(pose_row).collect()),
+            Self::Cameras(rows) => (&CAMERA_HEADER, rows.iter().map(camera_row).collect()),
+        };
+        let header = header.iter().map(|&cell| cell.to_owned()).collect();
+        std::iter::once(header).chain(rows).collect()
+    }
 }
 
-fn row(row: &Row) -> Vec<String> {
+fn defined(value: f64, digits: usize) -> String {
+    number(Some(value).filter(|value| !value.is_nan()), digits)
+}
+
+fn camera_row(row: &CameraRow) -> Vec<String> {
+    let FilledError { psnr_db, mean_abs, median_abs, filled } = row.color;
+    vec![
+        row.camera.clone(),
+        row.images.to_string(),
+        defined(psnr_db, 2),
+        defined(100.0 * filled, 2),
+        defined(mean_abs, 2),
+        defined(median_abs, 2),
+    ]
+}
+
+fn pose_row(row: &Row) -> Vec<String> {
     let iou = |masks: &MaskRow, class: &str| number(masks.classes.get(class).copied().flatten(), 3);
     let near = |masks: &MaskRow| number(masks.near_cars, 3);
     let depth = |of: fn(&crate::DepthSummary) -> f32| row.depth.as_ref().map(|d| f64::from(of(d)));
     vec![
         row.pose.clone(),
         row.images.to_string(),
-        number(Some(row.color.psnr_db).filter(|v| !v.is_nan()), 2),
-        number(Some(100.0 * row.color.filled).filter(|v| !v.is_nan()), 1),
+        defined(row.color.psnr_db, 2),
+        defined(100.0 * row.color.filled, 1),
         number(depth(|d| d.median_m), 3),
         number(depth(|d| d.p95_m), 2),
         number(depth(|d| 100.0 * d.median_relative), 2),
@@ -89,27 +116,4 @@ fn row(row: &Row) -> Vec<String> {
         near(&row.templates),
         near(&row.own_points),
     ]
-}
-
-fn csv(cells: &[Vec<String>]) -> String {
-    cells.iter().map(|row| row.join(",") + "\n").collect()
-}
-
-fn markdown(cells: &[Vec<String>]) -> String {
-    let line = |row: &Vec<String>| format!("| {} |\n", row.join(" | "));
-    let Some((header, rows)) = cells.split_first() else { return String::new() };
-    let rule = format!("|{}\n", "---|".repeat(header.len()));
-    line(header) + &rule + &rows.iter().map(line).collect::<String>()
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn formats_csv_and_markdown() {
-        let cells = vec![vec!["a".to_owned(), "bcd".to_owned()], vec!["ef".to_owned(), "1".to_owned()]];
-        assert_eq!(csv(&cells), "a,bcd\nef,1\n");
-        assert_eq!(markdown(&cells), "| a | bcd |\n|---|---|\n| ef | 1 |\n");
-    }
 }

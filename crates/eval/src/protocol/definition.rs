@@ -37,8 +37,6 @@ pub struct Part {
     /// Seconds from the start of a clip to the start of the next; `None` for one clip at the start of each
     /// log.
     pub every_s: Option<f64>,
-    /// Part whose ground-truth images are the reference set of the Fréchet distances; `None` for its own.
-    pub reference: Option<&'static str>,
     /// Whether the images are also written into a copy of the data set, for perception models.
     pub copies_dataset: bool,
 }
@@ -107,21 +105,13 @@ impl Protocol {
 
 /// Returns a part that follows the log, with one clip per log.
 fn replay(name: &'static str, rates: PartRates, length: Length) -> Part {
-    Part {
-        name,
-        ego: EgoPolicy::Replay,
-        rates,
-        length,
-        every_s: None,
-        reference: None,
-        copies_dataset: false,
-    }
+    Part { name, ego: EgoPolicy::Replay, rates, length, every_s: None, copies_dataset: false }
 }
 
-/// Returns a part that leaves the log, with one clip per log. It is compared with the images of the log.
+/// Returns a part that leaves the log, with one clip per log.
 fn off_log_part(ego: EgoPolicy, rates: PartRates, length: Length) -> Part {
     let name = ego.name();
-    Part { ego, reference: Some(REPLAY), ..replay(name, rates, length) }
+    Part { ego, ..replay(name, rates, length) }
 }
 
 #[cfg(test)]
@@ -140,21 +130,5 @@ mod tests {
         assert!(logs.is_sorted() && logs.windows(2).all(|pair| pair[0] != pair[1]));
         assert_eq!(Protocol::NuplanSimgen.logs().len(), 10);
         assert!(Protocol::LaneChange.logs().is_empty());
-    }
-
-    /// A part is compared with a part that is before it, follows the log and has its rates.
-    #[test]
-    fn reference_parts_follow_the_log() {
-        for protocol in Protocol::ALL {
-            let parts = protocol.parts();
-            for (place, part) in parts.iter().enumerate() {
-                let reference =
-                    part.reference.map(|name| parts[..place].iter().find(|p| p.name == name).unwrap());
-                assert_eq!(reference.is_none(), part.ego == EgoPolicy::Replay, "{}", part.name);
-                assert!(
-                    reference.is_none_or(|other| other.ego == EgoPolicy::Replay && other.rates == part.rates)
-                );
-            }
-        }
     }
 }

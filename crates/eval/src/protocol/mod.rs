@@ -3,8 +3,11 @@
 //! # How it works
 //! A [`Protocol`] has names of logs and parts. A [`Part`] is a policy of the ego, a rate and a length;
 //! [`Part::clips`] places its clips in a log. Whoever runs a protocol generates one rollout per clip.
-//! [`ProtocolReport`] scores the rollouts of all parts and has the table.
+//! [`ProtocolReport`] scores the rollouts of all parts and has the table. `ablation` compares variants of the
+//! generator on the same frames.
 
+#[cfg(feature = "network")]
+pub mod ablation;
 mod clips;
 mod definition;
 mod nuscenes_val;

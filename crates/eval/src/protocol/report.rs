@@ -1,4 +1,3 @@
-use std::fmt::Write;
 use std::path::{Path, PathBuf};
 
 use point_skeleton::error::FileError;
@@ -7,18 +6,17 @@ use pskel_sim::rollout::METRICS;
 use serde::{Deserialize, Serialize};
 
 use super::definition::{Part, Protocol};
-use crate::table::{interval, number};
+use crate::table::{interval, markdown};
 use crate::{EvaluateError, EvaluateOptions, MeanInterval, Report, evaluate, mean_interval};
 
 /// Metrics of generated images: name in [`Report::mean`], column, digits.
-const COLUMNS: [(&str, &str, usize); 7] = [
+const COLUMNS: [(&str, &str, usize); 6] = [
     ("psnr_db", "PSNR (dB)", 2),
     ("ssim", "SSIM", 3),
     ("sharpness_ratio", "sharpness ratio", 2),
     ("seam_ratio_4", "seams", 2),
     ("motion_slope", "motion", 2),
     ("flicker", "flicker", 2),
-    ("iou_patch_classifier_ratio", "IoU ratio", 2),
 ];
 
 /// Rollouts of a part.
@@ -99,16 +97,10 @@ impl ProtocolReport {
         let defined = protocol.logs();
         let present = logs.iter().filter(|log| defined.contains(log)).count();
         let logs = Logs { defined: defined.len(), present, other: logs.len() - present };
-        let folders =
-            |name: &str| parts.iter().find(|other| other.part.name == name).map(|other| &other.folders);
         let mut reports = Vec::new();
         for PartRollouts { part, folders: rollouts, frames } in parts {
-            let options = EvaluateOptions {
-                rollouts: rollouts.clone(),
-                references: part.reference.and_then(folders).cloned().unwrap_or_default(),
-                root: Some(root.to_owned()),
-                ..EvaluateOptions::default()
-            };
+            let (folders, root) = (rollouts.clone(), Some(root.to_owned()));
+            let options = EvaluateOptions { rollouts: folders, root, ..EvaluateOptions::default() };
             let driving = Driving::read(rollouts)?;
             let images = evaluate(&options, on_start, on_step)?;
             let (name, clips, frames) = (part.name, rollouts.len(), *frames);
@@ -119,32 +111,23 @@ impl ProtocolReport {
 
     /// Formats a row per part as Markdown, with means and 95 % confidence intervals over clips.
     pub fn table(&self) -> String {
-        let columns = COLUMNS.map(|(_, column, _)| column).join(" | ");
-        let mut text = format!(
-            "| {} | clips | frames | {columns} | Fréchet, images | Fréchet, videos | at-fault collisions | \
-                off-road share |\n",
-            self.protocol
-        );
-        text += &format!("{}|\n", "|---".repeat(COLUMNS.len() + 7));
-        for PartReport { name, clips, frames, driving, images } in &self.parts {
+        let columns = COLUMNS.map(|(_, column, _)| column);
+        let header = [self.protocol, "clips", "frames"].into_iter().chain(columns);
+        let header = header.chain(["at-fault collisions", "off-road share"]).map(str::to_owned);
+        let row = |part: &PartReport| -> Vec<String> {
+            let PartReport { name, clips, frames, driving, images } = part;
             let generated = match images.steps() {
                 all if all == *frames => all.to_string(),
                 fewer => format!("{fewer} of {frames}"),
             };
-            let means = COLUMNS.map(|(metric, _, digits)| interval(images.mean(metric), digits)).join(" | ");
-            let distances = images.distances();
-            let [of_images, of_videos] = [distances.images, distances.videos]
-                .map(|distance| number(distance.map(|distance| distance.distance), 3));
+            let means = COLUMNS.map(|(metric, _, digits)| interval(images.mean(metric), digits));
             let Driving { at_fault_collisions, off_road_share } = driving;
-            // Writing to a string cannot fail.
-            let _ = writeln!(
-                text,
-                "| {name} | {clips} | {generated} | {means} | {of_images} | {of_videos} | \
-                    {at_fault_collisions} | {} |",
-                interval(*off_road_share, 3)
-            );
-        }
-        text + "\n" + &self.logs.sentence() + "\n"
+            let last = [at_fault_collisions.to_string(), interval(*off_road_share, 3)];
+            let first = [(*name).to_owned(), clips.to_string(), generated];
+            first.into_iter().chain(means).chain(last).collect()
+        };
+        let cells: Vec<_> = std::iter::once(header.collect()).chain(self.parts.iter().map(row)).collect();
+        markdown(&cells) + "\n" + &self.logs.sentence() + "\n"
     }
 }
 

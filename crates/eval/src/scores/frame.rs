@@ -14,19 +14,8 @@ pub struct ScoredFrame<'a> {
     pub class: Option<&'a [Vec<u8>]>,
     /// Masks of moving actors; see [`moving_mask`](crate::moving_mask).
     pub moving: Option<&'a [Vec<bool>]>,
-    /// Vehicle masks of segmentation models, each compared with the class maps.
-    pub segmented: &'a [SegmentationMasks<'a>],
-}
-
-/// Masks of one segmentation model.
-#[derive(Clone, Copy, Debug)]
-pub struct SegmentationMasks<'a> {
-    /// Name in the result.
-    pub name: &'a str,
-    /// Masks of the generated images.
-    pub generated: &'a [Vec<bool>],
-    /// Masks of the ground-truth images.
-    pub truth: Option<&'a [Vec<bool>]>,
+    /// Masks of vehicles in the generated images by a segmentation model, compared with the class maps.
+    pub masks: Option<&'a [Vec<bool>]>,
 }
 
 /// Error of a step that cannot be scored.
@@ -76,11 +65,7 @@ impl ScoredFrame<'_> {
         check_images("true images", self.truth.unwrap_or(self.generated), sizes)?;
         check_maps("class maps", self.class, sizes)?;
         check_maps("masks of moving actors", self.moving, sizes)?;
-        for masks in self.segmented {
-            check_maps("a segmentor's masks", Some(masks.generated), sizes)?;
-            check_maps("a segmentor's masks of true images", masks.truth, sizes)?;
-        }
-        Ok(())
+        check_maps("a segmentor's masks", self.masks, sizes)
     }
 }
 

@@ -1,7 +1,6 @@
 //! [`RolloutScores`] scores the steps of a rollout. [`frame`] defines and validates its input, [`result`] its
-//! output, and [`distances`] the distances over many rollouts.
+//! output.
 
-mod distances;
 mod frame;
 mod result;
 #[cfg(test)]
@@ -12,10 +11,9 @@ use std::collections::BTreeMap;
 use image::RgbImage;
 use rayon::prelude::*;
 
-pub use self::distances::{CollectedFeatures, Distance, Distances};
-pub use self::frame::{ScoreError, ScoredFrame, SegmentationMasks};
+pub use self::frame::{ScoreError, ScoredFrame};
 pub use self::result::{Scores, Series, VehicleIou};
-use super::{Overlap, RandomConvNet, SeamSums, psnr_db, vehicle_mask};
+use super::{Overlap, SeamSums, psnr_db, vehicle_mask};
 use crate::images::motion::{MotionSums, MovingFrame};
 use crate::images::sharpness::sharpness;
 use crate::images::ssim::ssim;
@@ -24,9 +22,8 @@ use crate::images::ssim::ssim;
 const SEAM_SIDES: [usize; 2] = [4, 8];
 
 /// Scores a rollout of generated images step by step, in memory.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub struct RolloutScores {
-    net: RandomConvNet,
     /// Width and height per camera.
     sizes: Option<Vec<(u32, u32)>>,
     t_s: Vec<f64>,
@@ -37,10 +34,8 @@ pub struct RolloutScores {
     seams: [SeamSums; SEAM_SIDES.len()],
     motion: MotionSums,
     before: Option<PreviousStep>,
-    segmented: BTreeMap<String, SegmentedSums>,
-    /// Features per camera and step.
-    generated: Vec<Vec<Option<Vec<f64>>>>,
-    truth: Vec<Vec<Option<Vec<f64>>>>,
+    /// Overlap of masks and class maps, and its IoU by step; `None` without masks.
+    masked: Option<(Overlap, Vec<Option<f64>>)>,
 }
 
 /// Metrics with one value per step.
@@ -61,14 +56,6 @@ struct PreviousStep {
     moving: Vec<Vec<bool>>,
 }
 
-/// Sums of one segmentation model.
-#[derive(Clone, Debug, Default)]
-struct SegmentedSums {
-    generated: Overlap,
-    truth: Overlap,
-    steps: Vec<Option<f64>>,
-}
-
 /// Scores of one camera's images at a step.
 struct CameraScores {
     psnr_db: Option<f64>,
@@ -76,29 +63,21 @@ struct CameraScores {
     sharpness: Option<f64>,
     sharpness_truth: Option<f64>,
     seams: [SeamSums; SEAM_SIDES.len()],
-    features: Option<Vec<f64>>,
-    truth_features: Option<Vec<f64>>,
+}
+
+impl CameraScores {
+    fn of(image: &RgbImage, truth: Option<&RgbImage>) -> Self {
+        Self {
+            psnr_db: truth.and_then(|truth| psnr_db(image, truth)),
+            ssim: truth.and_then(|truth| ssim(image, truth)),
+            sharpness: sharpness(image),
+            sharpness_truth: truth.and_then(sharpness),
+            seams: SEAM_SIDES.map(|side| SeamSums::of(image, side)),
+        }
+    }
 }
 
 impl RolloutScores {
-    /// Starts a rollout without steps; `net` computes the features.
-    pub fn new(net: RandomConvNet) -> Self {
-        Self {
-            net,
-            sizes: None,
-            t_s: Vec::new(),
-            series: BTreeMap::new(),
-            steps_with_truth: 0,
-            equal_images: 0,
-            seams: Default::default(),
-            motion: MotionSums::default(),
-            before: None,
-            segmented: BTreeMap::new(),
-            generated: Vec::new(),
-            truth: Vec::new(),
-        }
-    }
-
     /// Adds the next step. The value of a step is the mean over its cameras.
     ///
     /// # Errors
@@ -107,35 +86,17 @@ impl RolloutScores {
     pub fn push(&mut self, frame: &ScoredFrame<'_>) -> Result<(), ScoreError> {
         let sizes: Vec<(u32, u32)> = frame.generated.iter().map(RgbImage::dimensions).collect();
         frame.check(self.sizes.as_ref().unwrap_or(&sizes))?;
-        self.generated.resize(sizes.len(), Vec::new());
-        self.truth.resize(sizes.len(), Vec::new());
         self.sizes = Some(sizes);
-        self.add_segmented(frame);
+        self.add_masks(frame);
         self.t_s.push(frame.t_s);
         self.steps_with_truth += usize::from(frame.truth.is_some());
         let cameras: Vec<CameraScores> = (0..frame.generated.len())
             .into_par_iter()
-            .map(|camera| self.camera(&frame.generated[camera], frame.truth.map(|truth| &truth[camera])))
+            .map(|camera| CameraScores::of(&frame.generated[camera], frame.truth.map(|truth| &truth[camera])))
             .collect();
         self.add_numbers(&cameras);
-        for (camera, scores) in cameras.into_iter().enumerate() {
-            self.generated[camera].push(scores.features);
-            self.truth[camera].push(scores.truth_features);
-        }
         self.add_motion(frame);
         Ok(())
-    }
-
-    fn camera(&self, image: &RgbImage, truth: Option<&RgbImage>) -> CameraScores {
-        CameraScores {
-            psnr_db: truth.and_then(|truth| psnr_db(image, truth)),
-            ssim: truth.and_then(|truth| ssim(image, truth)),
-            sharpness: sharpness(image),
-            sharpness_truth: truth.and_then(sharpness),
-            seams: SEAM_SIDES.map(|side| SeamSums::of(image, side)),
-            features: self.net.features(image),
-            truth_features: truth.and_then(|truth| self.net.features(truth)),
-        }
     }
 
     fn add_numbers(&mut self, cameras: &[CameraScores]) {
@@ -190,44 +151,30 @@ impl RolloutScores {
         });
     }
 
-    /// Compares the masks of each segmentation model with the masks of the class maps.
-    fn add_segmented(&mut self, frame: &ScoredFrame<'_>) {
-        let labels: Option<Vec<Vec<bool>>> = frame.class.map(|class| {
-            let maps = class.iter().zip(frame.generated);
-            maps.map(|(map, image)| vehicle_mask(map, image.width() as usize)).collect()
-        });
-        for masks in frame.segmented {
-            let sums = self.segmented.entry(masks.name.to_owned()).or_default();
-            sums.steps.resize(self.t_s.len(), None); // pads the steps before this model's first
-            let Some(labels) = &labels else { continue };
-            let mut step = Overlap::default();
-            labels.iter().zip(masks.generated).for_each(|(label, mask)| step.add_masks(label, mask));
-            sums.generated.join(&step);
-            sums.steps.push(step.iou());
-            for (label, mask) in labels.iter().zip(masks.truth.unwrap_or_default()) {
-                sums.truth.add_masks(label, mask);
-            }
+    /// Compares masks with those of the class maps.
+    fn add_masks(&mut self, frame: &ScoredFrame<'_>) {
+        let Some(masks) = frame.masks else { return };
+        let mut step = Overlap::default();
+        let images = frame.class.unwrap_or_default().iter().zip(frame.generated).zip(masks);
+        for ((class, image), mask) in images {
+            step.add_masks(&vehicle_mask(class, image.width() as usize), mask);
         }
+        let (all, steps) = self.masked.get_or_insert_default();
+        steps.resize(self.t_s.len(), None); // pads the steps without masks
+        all.join(&step);
+        steps.push(step.iou());
     }
 
-    /// Returns the scores, and the features for distances over many rollouts.
-    pub fn finish(mut self) -> (Scores, CollectedFeatures) {
-        let features = CollectedFeatures::of(&self.net, &self.generated, &self.truth);
+    /// Returns the scores.
+    pub fn finish(mut self) -> Scores {
         let steps = self.t_s.len();
         let t_s = std::mem::take(&mut self.t_s);
         let mut series = |metric: Metric| Series::new(&t_s, self.series.remove(&metric).unwrap_or_default());
-        let iou = |mut sums: SegmentedSums| {
-            sums.steps.resize(steps, None);
-            let (generated, truth) = (sums.generated.iou(), sums.truth.iou());
-            let ratio = generated.zip(truth).filter(|(_, truth)| *truth > 0.0);
-            VehicleIou {
-                generated,
-                truth,
-                ratio: ratio.map(|(generated, truth)| generated / truth),
-                steps: Series::new(&t_s, sums.steps),
-            }
+        let iou = |(all, mut of_steps): (Overlap, Vec<Option<f64>>)| {
+            of_steps.resize(steps, None);
+            ("masks", VehicleIou { generated: all.iou(), steps: Series::new(&t_s, of_steps) })
         };
-        let scores = Scores {
+        Scores {
             steps,
             cameras: self.sizes.map_or(0, |sizes| sizes.len()),
             steps_with_truth: self.steps_with_truth,
@@ -239,10 +186,9 @@ impl RolloutScores {
             sharpness_ratio: series(Metric::SharpnessRatio),
             seams: SEAM_SIDES.into_iter().zip(self.seams.map(|seams| seams.ratio())).collect(),
             motion: self.motion.finish(),
-            iou: self.segmented.into_iter().map(|(name, sums)| (name, iou(sums))).collect(),
+            iou: self.masked.map(iou).into_iter().collect(),
             t_s: t_s.clone(),
-        };
-        (scores, features)
+        }
     }
 }
 

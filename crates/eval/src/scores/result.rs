@@ -21,17 +21,12 @@ impl Series {
     }
 }
 
-/// Intersection over union of vehicles in class maps and in the masks of a segmentation model, over all
-/// pixels of a rollout.
+/// Intersection over union of vehicles in class maps and in the masks of a segmentation model.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct VehicleIou {
-    /// IoU in generated images; `None` without class maps or vehicles.
+    /// IoU over all pixels of a rollout; `None` without class maps or vehicles.
     pub generated: Option<f64>,
-    /// IoU in ground-truth images: the performance of the segmentation model on correct images.
-    pub truth: Option<f64>,
-    /// `generated` divided by `truth`.
-    pub ratio: Option<f64>,
-    /// IoU in generated images per step.
+    /// IoU per step.
     pub steps: Series,
 }
 
@@ -62,8 +57,8 @@ pub struct Scores {
     pub seams: BTreeMap<usize, Option<f64>>,
     /// Motion of actors; `None` without two consecutive steps with ground truth and moving pixels.
     pub motion: Option<Motion>,
-    /// Vehicle IoU, by name of the segmentation model.
-    pub iou: BTreeMap<String, VehicleIou>,
+    /// Vehicle IoU, `masks`; empty without masks.
+    pub iou: BTreeMap<&'static str, VehicleIou>,
     /// Times of the steps, seconds.
     pub t_s: Vec<f64>,
 }
@@ -71,7 +66,7 @@ pub struct Scores {
 /// Function that extracts a number from the scores, if present.
 type Number = fn(&Scores) -> Option<f64>;
 
-/// Names and functions of [`Scores::numbers`], without segmentation models.
+/// Names and functions of [`Scores::numbers`], without the IoU.
 const NUMBERS: [(&str, Number); 16] = [
     ("psnr_db", |s| s.psnr_db.mean),
     ("psnr_db_slope_per_s", |s| s.psnr_db.drift.map(|d| d.slope_per_s)),
@@ -92,17 +87,9 @@ const NUMBERS: [(&str, Number); 16] = [
 ];
 
 impl Scores {
-    /// Returns the numbers that are averaged over rollouts, by name; `iou_NAME`, `iou_NAME_truth` and
-    /// `iou_NAME_ratio` for each segmentation model.
+    /// Returns the numbers that are averaged over rollouts, by name; `iou_masks` only with masks.
     pub fn numbers(&self) -> BTreeMap<String, Option<f64>> {
         let own = NUMBERS.iter().map(|(name, of)| ((*name).to_owned(), of(self)));
-        let segmented = self.iou.iter().flat_map(|(name, iou)| {
-            [
-                (format!("iou_{name}"), iou.generated),
-                (format!("iou_{name}_truth"), iou.truth),
-                (format!("iou_{name}_ratio"), iou.ratio),
-            ]
-        });
-        own.chain(segmented).collect()
+        own.chain(self.iou.iter().map(|(name, iou)| (format!("iou_{name}"), iou.generated))).collect()
     }
 }

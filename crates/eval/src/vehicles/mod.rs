@@ -1,5 +1,4 @@
-//! Vehicles in images: their masks, and the classifier that finds them.
+//! Masks of vehicles in images.
 
 pub(super) mod masks;
-pub(super) mod patch_classifier;
 pub(super) mod pseudo_label;

@@ -10,6 +10,7 @@ use point_skeleton::files::Inputs;
 use point_skeleton::skeleton::Skeleton;
 
 use super::log::{self, LogRoots};
+use super::outputs::output_folder;
 use crate::warn;
 
 /// A recording and its skeleton.
@@ -23,6 +24,14 @@ pub(crate) struct SourceArgs {
     pub(crate) skeleton: PathBuf,
     #[command(flatten)]
     pub(crate) roots: LogRoots,
+}
+
+/// Skeletons of many recordings.
+#[derive(Clone, Debug, Args)]
+pub(crate) struct SkeletonsArgs {
+    /// Folder of skeletons, one per recording and named after it; those that do not exist are built
+    #[arg(long, value_name = "DIR", value_parser = output_folder())]
+    pub(crate) skeletons: PathBuf,
 }
 
 impl SourceArgs {

@@ -15,10 +15,9 @@ use crate::{WrongUsage, say, tell};
 /// Score the generated images of rollouts against ground truth
 ///
 /// For each rollout of simulate --generator: PSNR, SSIM and sharpness by step with their drift, motion of
-/// moving actors, and the IoU of vehicles in class maps and in images. For all rollouts: means with 95 %
-/// confidence intervals over rollouts, and Fréchet distances of images and videos by a network of fixed
-/// random convolutions (not Inception, so not comparable with published FID and FVD). Reference images are
-/// not scored. Metrics whose ground truth or maps are missing are null.
+/// moving actors, and the IoU of vehicles in class maps and in given masks of the images. For all rollouts:
+/// means with 95 % confidence intervals over rollouts, and the Fréchet distance of given features.
+/// Reference images are not scored. Metrics whose ground truth or maps are missing are null.
 #[derive(Debug, Args)]
 pub(crate) struct EvaluateArgs {
     /// Folders of rollouts with generated images
@@ -31,40 +30,25 @@ pub(crate) struct EvaluateArgs {
     /// rollout, in order
     #[arg(long, value_name = "DIR")]
     masks: Vec<PathBuf>,
-    /// Train the patch classifier on ground-truth images and class maps of this rollout, may be repeated
-    /// [default: on the other half of the steps]
-    #[arg(long, value_name = "DIR")]
-    classifier_from: Vec<PathBuf>,
-    /// Compare with the ground-truth images of this rollout in the Fréchet distances, may be repeated
-    /// [default: those of the scored rollouts]
-    #[arg(long, value_name = "DIR")]
-    reference: Vec<PathBuf>,
-    /// Also compute a Fréchet distance from another network's features: NPY files of f32 or f64 [N, D], for
-    /// generated and for ground-truth images
+    /// Also compute the Fréchet distance of features, as `python -m pskel.metrics` writes them: NPY files of
+    /// f32 or f64 [N, D], for generated and for ground-truth images
     #[arg(long, value_names = ["GEN.npy", "TRUE.npy"], num_args = 2)]
     features: Vec<PathBuf>,
     /// Score only every N-th frame: N - 1, 2 N - 1, .., those that `train --hold-out N` leaves out
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(2..))]
     hold_out: Option<u16>,
-    /// Seed of the random convolutions and of the patch classifier
-    #[arg(long, default_value_t = 0)]
-    seed: u64,
 }
 
 /// Runs the command: scores the rollouts, prints and writes the report.
 pub(crate) fn run(args: &EvaluateArgs) -> anyhow::Result<()> {
     let start = Instant::now();
-    let folders = [&args.rollouts, &args.masks, &args.classifier_from, &args.reference, &args.features];
-    let inputs = Inputs::new(folders.into_iter().flatten());
+    let inputs = Inputs::new(args.rollouts.iter().chain(&args.masks).chain(&args.features));
     let [out] = outputs::open([("--out", args.out.as_deref(), SCORES)], &inputs, None)?;
     let options = EvaluateOptions {
         rollouts: args.rollouts.clone(),
         masks: args.masks.clone(),
-        classifier_from: args.classifier_from.clone(),
-        references: args.reference.clone(),
         features: args.features.clone().try_into().ok(),
         hold_out: args.hold_out.map(usize::from),
-        seed: args.seed,
         root: None,
     };
     let progress = RefCell::new(None);

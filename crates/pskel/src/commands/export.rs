@@ -16,9 +16,10 @@ use crate::args::log::{self, LogRoots};
 use crate::args::maps::MapArgs;
 use crate::args::names::names;
 use crate::args::numbers;
-use crate::args::outputs::{self, FolderArgs};
+use crate::args::outputs::FolderArgs;
 use crate::args::prompt::PromptArgs;
 use crate::args::rasterizer::RasterizerArgs;
+use crate::args::source::SkeletonsArgs;
 use crate::args::substitutes::SubstituteArgs;
 use crate::progress::Progress;
 use crate::{WrongUsage, say, tell};
@@ -41,9 +42,8 @@ pub(crate) struct ExportArgs {
     layout: Layout,
     #[command(flatten)]
     folder: FolderArgs,
-    /// Folder of skeletons, one per recording and named after it; those that do not exist are built
-    #[arg(long, value_name = "DIR", value_parser = outputs::output_folder())]
-    skeletons: PathBuf,
+    #[command(flatten)]
+    skeletons: SkeletonsArgs,
     /// Print the shards, one per line (number, name, frames, recording), and write nothing
     #[arg(long)]
     list: bool,
@@ -111,7 +111,7 @@ impl ExportArgs {
         Ok(ExportJob {
             logs: self.logs.iter().map(|log| self.roots.locate(log)).collect(),
             out: self.folder.out.clone(),
-            skeletons: self.skeletons.clone(),
+            skeletons: self.skeletons.skeletons.clone(),
             options: self.options()?,
             only: self.only,
             rasterizer: self.rasterizer.desc()?,

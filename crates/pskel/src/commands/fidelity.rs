@@ -1,19 +1,17 @@
-//! `pskel fidelity`: compares condition maps of the synthetic town with ground truth.
+//! `pskel fidelity`: compares condition maps with ground truth.
 
 use std::io::Write;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use clap::Args;
-use point_skeleton::dataset::LogReader;
 use point_skeleton::error::FileError;
-use point_skeleton::files::{Inputs, OutputFile};
+use point_skeleton::files::{FileKind, OutputFile, is_one_file};
 use point_skeleton::{RenderOptions, Renderer};
-use pskel_eval::{FidelityFiles, POSES, fidelity};
+use pskel_eval::{FidelityFiles, FidelityFrames, FidelityReport, FidelitySource, fidelity};
 use pskel_town::Town;
 
 use crate::args::frames::FrameArgs;
-use crate::args::outputs;
 use crate::args::rasterizer::RasterizerArgs;
 use crate::args::size::SizeArgs;
 use crate::args::source::SourceArgs;
@@ -21,11 +19,12 @@ use crate::args::substitutes::SubstituteArgs;
 use crate::progress::Progress;
 use crate::{WrongUsage, say};
 
-/// Measure the fidelity of condition maps: those of the synthetic town against its ground truth
+/// Measure the fidelity of condition maps against ground truth
 ///
-/// Every frame is rendered from the recorded pose, from 0.5, 1, 2 and 3.5 m beside it, and rotated by 5, 10
-/// and 20 degrees. Color is compared on filled pixels, depth where both have one, masks by class. Offsets are
-/// to the right, or to the left if only that is on a lane.
+/// Synthetic town: every frame is rendered from the recorded pose, from 0.5, 1, 2 and 3.5 m beside it, and
+/// rotated by 5, 10 and 20 degrees. Color is compared on filled pixels, depth where both have one, masks by
+/// class. Offsets are to the right, or to the left if only that is on a lane. Recorded log: color maps at the
+/// times of the images are compared with these on filled pixels.
 #[derive(Debug, Args)]
 pub(crate) struct FidelityArgs {
     #[command(flatten)]
@@ -34,40 +33,80 @@ pub(crate) struct FidelityArgs {
     frames: FrameArgs,
     #[command(flatten)]
     size: SizeArgs,
+    /// Compare only every N-th frame: N - 1, 2 N - 1, .., none of those of a skeleton of `build --every N`
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(2..))]
+    hold_out: Option<u16>,
+    /// Write the report: FILE.json (all numbers), FILE.csv or FILE.md (the table); may be repeated
+    #[arg(long, value_name = "FILE", value_parser = Form::path)]
+    out: Vec<PathBuf>,
     #[command(flatten)]
     substitutes: SubstituteArgs,
     #[command(flatten)]
     rasterizer: RasterizerArgs,
-    /// Write all numbers as JSON
-    #[arg(long, value_name = "FILE")]
-    json: Option<PathBuf>,
-    /// Write the table as CSV
-    #[arg(long, value_name = "FILE")]
-    csv: Option<PathBuf>,
-    /// Write the table as Markdown
-    #[arg(long, value_name = "FILE")]
-    markdown: Option<PathBuf>,
+}
+
+/// Form of a written report.
+struct Form {
+    extension: &'static str,
+    kind: FileKind,
+    write: fn(&OutputFile, &FidelityReport) -> Result<(), FileError>,
+}
+
+impl Form {
+    const ALL: [Self; 3] = [
+        Self { extension: "json", kind: FidelityFiles::JSON, write: |file, report| file.write_json(report) },
+        Self {
+            extension: "csv",
+            kind: FidelityFiles::CSV,
+            write: |file, report| write_text(file, &report.csv()),
+        },
+        Self {
+            extension: "md",
+            kind: FidelityFiles::MARKDOWN,
+            write: |file, report| write_text(file, &report.markdown()),
+        },
+    ];
+
+    /// Returns the form of a file by its extension.
+    fn of(path: &Path) -> Option<Self> {
+        Self::ALL.into_iter().find(|form| path.extension().is_some_and(|other| other == form.extension))
+    }
+
+    /// Argument parser for the path of a report.
+    fn path(text: &str) -> Result<PathBuf, String> {
+        let path = PathBuf::from(text);
+        let expected = || "expected a file .json, .csv or .md".to_owned();
+        Self::of(&path).is_some().then_some(path).ok_or_else(expected)
+    }
 }
 
 /// Runs the command: renders, compares, prints the table.
 pub(crate) fn run(args: &FidelityArgs) -> anyhow::Result<()> {
     let start = Instant::now();
-    if *args.source.log.format != pskel_town::FORMAT {
-        let message =
-            format!("expected a log town:.., of which the truth is known, found {}", args.source.log);
-        return Err(WrongUsage(message).into());
-    }
-    let inputs = Inputs::new([&args.source.skeleton]).and(args.substitutes.inputs());
-    let files = [
-        ("--json", args.json.as_deref(), FidelityFiles::JSON),
-        ("--csv", args.csv.as_deref(), FidelityFiles::CSV),
-        ("--markdown", args.markdown.as_deref(), FidelityFiles::MARKDOWN),
-    ];
-    let [json, csv, markdown] = outputs::open(files, &inputs, None)?;
-    let town = Town::open(&args.source.log)?;
-    let log = town.recording();
+    let inputs = args.source.inputs().and(args.substitutes.inputs());
+    let forms = args.out.iter().filter_map(|path| Some((path, Form::of(path)?)));
+    let open = |(path, form): (&PathBuf, Form)| {
+        let count = args.out.iter().filter(|other| is_one_file(other, path)).count();
+        if count > 1 {
+            let message = format!("expected each file once for --out, found {} again", path.display());
+            return Err(WrongUsage(message).into());
+        }
+        let file = OutputFile::open(path, form.kind, &inputs)?;
+        anyhow::Ok((file, form.write))
+    };
+    let files = forms.map(open).collect::<anyhow::Result<Vec<_>>>()?;
+    let (town, recorded);
+    let source = if *args.source.log.format == pskel_town::FORMAT {
+        town = Town::open(&args.source.roots.locate(&args.source.log))?;
+        FidelitySource::Town(&town)
+    } else {
+        recorded = args.source.open()?;
+        FidelitySource::Log(&recorded)
+    };
+    let log = source.recording();
     let skeleton = args.source.open_skeleton(log)?;
-    let frames = args.frames.of(log.frames.len())?;
+    let range = args.frames.of(log.frames.len())?;
+    let frames = FidelityFrames { range, hold_out: args.hold_out.map(usize::from) };
     let (substitutes, _) = args.substitutes.options().make(&skeleton, &log.name)?;
     let render = RenderOptions {
         rasterizer: args.rasterizer.desc()?,
@@ -76,21 +115,18 @@ pub(crate) fn run(args: &FidelityArgs) -> anyhow::Result<()> {
         ..RenderOptions::default()
     };
     let mut renderer = Renderer::new(&skeleton, render)?;
-    let mut progress = Progress::new(POSES * frames.len());
+    let mut progress = Progress::new(source.poses() * frames.iter().count());
     let mut on_step = |name: &str| progress.step(name);
-    let report = fidelity(&town, &mut renderer, frames, args.size.conditions(), &mut on_step)?;
+    let report = fidelity(source, &mut renderer, &frames, args.size.conditions(), &mut on_step)?;
     drop(progress);
-    json.map_or(Ok(()), |file| file.write_json(&report))?;
-    write_text(csv, &report.csv())?;
-    write_text(markdown, &report.markdown())?;
+    files.iter().try_for_each(|(file, write)| write(file, &report))?;
     say(report.table().trim_end());
-    let images = report.poses.iter().map(|row| row.images).sum::<usize>();
+    let images = report.rows.images();
     let (seconds, skeleton) = (start.elapsed().as_secs_f64(), args.source.skeleton.display());
-    say(&format!("compared {images} images of {} in {seconds:.2} s: {skeleton}", log.name));
+    say(&format!("compared {images} images of {} in {seconds:.2} s: {skeleton}", log.shown_name()));
     Ok(())
 }
 
-fn write_text(file: Option<OutputFile>, text: &str) -> Result<(), FileError> {
-    let Some(file) = file else { return Ok(()) };
+fn write_text(file: &OutputFile, text: &str) -> Result<(), FileError> {
     file.write(|out| out.write_all(text.as_bytes()).map_err(FileError::io("write", file.path())))
 }

@@ -1,7 +1,5 @@
 //! The subcommands of `pskel`, one module each.
 
-#[cfg(feature = "network")]
-pub(super) mod ablate;
 pub(super) mod bench;
 pub(super) mod build;
 pub(super) mod convert;

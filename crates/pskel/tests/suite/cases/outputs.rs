@@ -53,6 +53,7 @@ fn single_files_do_not_replace_files_in_input_folders() {
         symlink(target, log.path(link)).unwrap();
     }
     std::fs::write(log.path("elsewhere/x.json"), "{}").unwrap();
+    std::fs::write(log.path("p.csv"), "camera,images\n").unwrap();
     std::fs::hard_link(log.path("log/v1.0-mini/scene.json"), log.path("hard.mcap")).unwrap();
     let outside = "expected an output outside of the input";
     let part = "expected a file that is no part of another output";
@@ -86,9 +87,9 @@ fn single_files_do_not_replace_files_in_input_folders() {
             "expected an archive of pskel",
         ),
         ("convert p.npy --format ply --out log/v1.0-mini/scene.json".into(), "expected a PLY file of pskel"),
-        ("fidelity town:seed=5,frames=2,size=57x100 --skeleton sk --json sk/skeleton.json".into(), part),
+        ("fidelity town:seed=5,frames=2,size=57x100 --skeleton sk --out sk/skeleton.json".into(), part),
         (
-            "fidelity town:seed=5,frames=2,size=57x100 --skeleton sk --csv p.npy".into(),
+            "fidelity town:seed=5,frames=2,size=57x100 --skeleton sk --out p.csv".into(),
             "expected a table of pskel",
         ),
     ] {
@@ -125,11 +126,7 @@ fn scores_do_not_replace_rollout_files() {
         "evaluate rollout --masks masks --out masks/000000/CAM_FRONT.png",
         "outside of the input masks",
     );
-    assert_refused(
-        &log,
-        "evaluate rollout --reference rollout --out c.json",
-        "expected scores of pskel evaluate",
-    );
+    assert_refused(&log, "evaluate rollout --out c.json", "expected scores of pskel evaluate");
     assert_refused(&log, "evaluate rollout --out none/scores.json", "cannot read");
     for _ in 0..2 {
         assert!(log.run("evaluate rollout --out scores.json").status.success());
@@ -208,7 +205,7 @@ fn output_folders_must_be_outside_inputs() {
             "expected an output outside of the input log, found one in it: log/samples",
         ),
         (
-            "ablate nuscenes:log --rasterizer cpu --out log/samples".to_owned(),
+            "protocol ablation nuscenes:log --skeletons sks --rasterizer cpu --out log/samples".to_owned(),
             "expected an output outside of the input log, found one in it: log/samples",
         ),
         (EXPORT.replace("--out out", "--out sk/export --layout frames"), skeleton),

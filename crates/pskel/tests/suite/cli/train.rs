@@ -1,5 +1,5 @@
-//! From towns to weights, images, scores and tables: `pskel train`, `generate`, `evaluate` and `ablate`
-//! through the command line.
+//! From towns to weights, images, scores and tables: `pskel train`, `generate`, `evaluate` and
+//! `protocol ablation` through the command line.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -155,7 +155,9 @@ fn filled(folder: &Path) {
 /// Existing results are not computed again, and lost ones are restored.
 fn compared(folder: &Path) {
     let weights = "trained/weights.safetensors";
-    let few = format!("ablate {TOWN} --weights {weights} --steps 4 --out table");
+    let few = format!(
+        "protocol ablation {TOWN} --skeletons sks --generator network:{weights} --steps 4 --out table"
+    );
     let told = succeed(folder, &few);
     assert!(told.contains("10 variants in 1 scenes") && !told.contains("seed 1"), "{told}");
     let ablate = format!("{few} --plain-weights {weights} --other-seed {weights}");
@@ -184,7 +186,10 @@ fn compared(folder: &Path) {
     // In a recorded log the ego follows the log, where images of it are known.
     let told = succeed(
         folder,
-        &format!("ablate nuscenes:log --weights {weights} --tables forecasts --steps 2 --out recorded"),
+        &format!(
+            "protocol ablation nuscenes:log --skeletons sks --generator network:{weights} --parts forecasts \
+                --steps 2 --out recorded"
+        ),
     );
     assert!(
         told.contains("4 variants in 1 scenes") && told.contains("| rolling, static forecasts |"),
@@ -194,39 +199,21 @@ fn compared(folder: &Path) {
         tree(&folder.join("recorded")).into_keys().find(|name| name.ends_with("/rolling.json")).unwrap();
     let result = json(&folder.join("recorded").join(result));
     assert!(result["numbers"]["psnr_db"].as_f64() > Some(5.0), "{result}");
-    // Noise on the history changes causal alone.
-    let noisy = format!(
-        "ablate nuscenes:log --weights {weights} --tables strategies --steps 2 --history-noise 900 --ahead 1 \
-            --out noisy"
-    );
-    succeed(folder, &noisy);
-    let psnr = |out: &str, row: &str| {
-        let files = tree(&folder.join(out));
-        let name = files.keys().find(|name| name.ends_with(&format!("/{row}.json"))).unwrap();
-        serde_json::from_slice::<Value>(&files[name]).unwrap()["numbers"]["psnr_db"].clone()
-    };
-    let clean =
-        noisy.replace("--history-noise 900", "--history-noise 0").replace("--out noisy", "--out clean");
-    succeed(folder, &clean);
-    assert_eq!(psnr("clean", "non_causal"), psnr("noisy", "non_causal"));
-    assert_ne!(psnr("clean", "causal"), psnr("noisy", "causal"));
-    let output = command(folder, &clean.replace("--ahead 1", "--ahead 9")).output().unwrap();
-    assert_failed(&output, 2, &["forecasts in the window, found 9"]);
-    let seeds = ablate.replace("--plain-weights trained/weights.safetensors", "--tables seeds");
+    let seeds = ablate.replace("--plain-weights trained/weights.safetensors", "--parts seeds");
     let told = succeed(folder, &seeds);
     assert!(
         told.contains("2 variants in 1 scenes") && told.contains("| seed 1, difference | 0.00 |"),
         "{told}"
     );
     assert!(!told.contains("layout"), "{told}");
-    let neither = seeds.replace("--tables seeds", "--tables strategies");
+    let neither = seeds.replace("--parts seeds", "--parts strategies");
     let output = command(folder, &neither).output().unwrap();
-    assert_failed(&output, 2, &["expected --other-seed and table seeds together, found the weights alone"]);
+    assert_failed(&output, 2, &["expected --other-seed and part seeds together, found the weights alone"]);
     let other = ablate.replace("--steps 4", "--steps 3");
     let output = command(folder, &other).output().unwrap();
     assert_failed(&output, 1, &["expected scores of {", "\"steps\":4", "reset_and_roll.json"]);
-    let output = command(folder, &format!("{ablate} --augment=1")).output().unwrap();
-    assert_failed(&output, 1, &["expected scores of {", "\"augment\":1", "reset_and_roll.json"]);
+    let output = command(folder, &few.replace(&format!("network:{weights}"), "fill")).output().unwrap();
+    assert_failed(&output, 2, &["expected --generator network or network:FILE, found fill"]);
     let long = ablate.replace("--steps 4", "--steps 30").replace("--out table", "--out long");
     assert_failed(&command(folder, &long).output().unwrap(), 1, &["31 plan steps", "found 5"]);
 }

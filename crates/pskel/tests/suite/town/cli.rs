@@ -57,7 +57,7 @@ fn invalid_town_options_are_usage_errors() {
         ("build town:seed=x --out out/x", ["whole number below 2^64 for seed", "\"x\""]),
         ("render town:colour=3 --skeleton out/x --out out/y", ["KEY=VALUE with seed", "\"colour\""]),
         ("simulate town:hz=0 --skeleton out/x --out out/y --steps 1", ["hz of 0.5 to lidar_hz", "\"0\""]),
-        ("fidelity nuscenes:log --skeleton out/x", ["expected a log town:", "found nuscenes:log"]),
+        ("fidelity town:seed=1 --skeleton out/x --out a.txt", [".json, .csv or .md", "a.txt"]),
     ] {
         log.fail(args, 2, &said);
     }
@@ -101,8 +101,7 @@ fn all_commands_accept_a_town() {
             && log.path("out/maps/000000/CAM_BACK/map.png").is_file()
     );
     let output = log.run(&format!(
-        "fidelity {town} --skeleton out/sk --frames 0..1 --json out/f.json \
-        --markdown out/f.md --csv out/f.csv"
+        "fidelity {town} --skeleton out/sk --frames 0..1 --out out/f.json --out out/f.md --out out/f.csv"
     ));
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     let rows = log.json("out/f.json")["poses"].as_array().unwrap().clone();
@@ -115,6 +114,18 @@ fn all_commands_accept_a_town() {
     assert!(classes.values().filter_map(Value::as_f64).any(|iou| iou > 0.3), "{}", rows[0]);
     assert_eq!(std::fs::read_to_string(log.path("out/f.md")).unwrap().lines().count(), 10);
     assert_eq!(std::fs::read_to_string(log.path("out/f.csv")).unwrap().lines().count(), 9);
+    // Recorded images of frames that are not in the skeleton.
+    log.succeed("town --seed 5 --frames 2 --size 90x160 --out out/log");
+    log.succeed("build nuscenes:out/log --every 2 --out out/half");
+    log.succeed(
+        "fidelity nuscenes:out/log --skeleton out/half --hold-out 2 --out out/c.json --out out/c.csv",
+    );
+    let report = log.json("out/c.json");
+    let rows = report["cameras"].as_array().unwrap();
+    assert_eq!((&report["hold_out"], rows.len(), &rows[6]["camera"]), (&2.into(), 7, &"all".into()));
+    assert_eq!((&rows[0]["images"], &rows[6]["images"]), (&1.into(), &6.into()));
+    assert!(rows[6]["color"]["psnr_db"].as_f64() > Some(12.0), "{}", rows[6]);
+    assert_eq!(std::fs::read_to_string(log.path("out/c.csv")).unwrap().lines().count(), 8);
     // A skeleton of one town is not accepted for another.
     for (other, name) in [("seed=6,frames=2", "town-6-2f-day"), ("seed=5,frames=3", "town-5-3f-day")] {
         let output = log.run(&format!("fidelity town:{other} --skeleton out/sk"));

@@ -1,4 +1,4 @@
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use point_skeleton::Log;
 use point_skeleton::error::FileError;
@@ -6,8 +6,8 @@ use point_skeleton::files::input::is_there;
 use point_skeleton::files::{Inputs, OutputFolder, write_json};
 use point_skeleton::raster::RasterizerDesc;
 
-use super::error::AblateError;
-use super::options::{AblateOptions, Networks};
+use super::error::AblationError;
+use super::options::{AblationOptions, Networks};
 use super::report::Report;
 use super::rows::{Row, Table, rows};
 use super::run::{RunResult, run};
@@ -17,7 +17,7 @@ use super::scene::{Scene, SceneOptions};
 pub struct Ablation {
     files: OutputFolder,
     networks: Networks,
-    options: AblateOptions,
+    options: AblationOptions,
     tables: Vec<Table>,
     rows: Vec<Row>,
     results: Vec<RunResult>,
@@ -34,12 +34,11 @@ impl Ablation {
         (path, read): (&Path, &Inputs),
         networks: Networks,
         tables: &[Table],
-        mut options: AblateOptions,
-    ) -> Result<Self, AblateError> {
+        options: AblationOptions,
+    ) -> Result<Self, AblationError> {
         networks.check()?;
-        options.infer_steps.get_or_insert(networks.main.config().frames);
-        let rows = rows(&networks, tables, &options);
-        rows.iter().try_for_each(|row| row.options(&networks, &options).check())?;
+        let rows = rows(&networks, tables);
+        rows.iter().try_for_each(|row| row.options(&networks).check())?;
         let files = OutputFolder::open(path, "ablation", read)?;
         files.check(Report::files(tables))?;
         let tables = tables.to_vec();
@@ -52,19 +51,18 @@ impl Ablation {
     }
 
     /// Generates and scores all variants in a log. Writes `NAME/ROW.json` and `NAME/ROW.png` for each. The
-    /// scene is rendered only if a result is missing; its skeleton is retained. `progress` receives each
-    /// result.
+    /// scene is rendered only if a result is missing, from a skeleton that is built if it does not exist.
+    /// `progress` receives each result.
     ///
     /// # Errors
     /// Fails if the log is too short, if a result in the folder has other options or weights, or if a variant
     /// cannot be generated, scored or written.
     pub fn add_scene(
         &mut self,
-        name: &str,
-        log: &Log,
+        (name, log, skeleton): (&str, &Log, PathBuf),
         rasterizer: &RasterizerDesc,
         progress: &mut dyn FnMut(&RunResult),
-    ) -> Result<(), AblateError> {
+    ) -> Result<(), AblationError> {
         let folder = self.files.folder(name)?;
         std::fs::create_dir_all(&folder).map_err(FileError::io("create", &folder))?;
         let options = SceneOptions {
@@ -72,7 +70,7 @@ impl Ablation {
             references: self.networks.main.config().frames - 1,
             study: &self.options,
             rasterizer,
-            skeleton: &folder.join("skeleton"),
+            skeleton: &skeleton,
         };
         let mut scene = None;
         for row in &self.rows {
@@ -93,7 +91,7 @@ impl Ablation {
     }
 
     /// Generates, scores and writes a variant.
-    fn run(&self, scene: &Scene, row: &Row) -> Result<RunResult, AblateError> {
+    fn run(&self, scene: &Scene, row: &Row) -> Result<RunResult, AblationError> {
         let (result, strip) = run(scene, row, &self.networks, &self.options)?;
         let name = |ending: &str| format!("{}/{}.{ending}", scene.name, row.name);
         strip.save(&self.files.claim(name("png"))?)?;
@@ -105,7 +103,7 @@ impl Ablation {
     ///
     /// # Errors
     /// Fails if a file cannot be written.
-    pub fn finish(self) -> Result<Report, AblateError> {
+    pub fn finish(self) -> Result<Report, AblationError> {
         let report = Report::new(&self.tables, &self.rows, &self.results);
         report.write(&self.files)?;
         self.files.close()?;

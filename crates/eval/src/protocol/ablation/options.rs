@@ -3,35 +3,21 @@
 use pskel_network::Network;
 use serde::{Deserialize, Serialize};
 
-use super::error::AblateError;
+use super::error::AblationError;
 
 /// Options shared by all variants.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct AblateOptions {
+#[serde(deny_unknown_fields)]
+pub struct AblationOptions {
     /// Number of frames to generate in each scene, after the references.
     pub steps: usize,
-    /// Inference steps, T; `None` for the frames of the window.
-    pub infer_steps: Option<usize>,
-    /// Seed of noise, features and classifiers.
+    /// Seed of the noise.
     pub seed: u64,
-    /// Seed of the asset augmentation; `None` for unchanged assets.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub augment: Option<u64>,
-    /// Noise on the previous frames of `causal`, in steps of 1000.
-    #[serde(default)]
-    pub history_noise: usize,
-    /// Forecasts in the window of `non_causal`.
-    #[serde(default = "one")]
-    pub ahead: usize,
 }
 
-fn one() -> usize {
-    1
-}
-
-impl Default for AblateOptions {
+impl Default for AblationOptions {
     fn default() -> Self {
-        Self { steps: 60, infer_steps: None, seed: 0, augment: None, history_noise: 0, ahead: one() }
+        Self { steps: 60, seed: 0 }
     }
 }
 
@@ -39,7 +25,7 @@ impl Default for AblateOptions {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Origin {
     /// Options of the study.
-    pub settings: AblateOptions,
+    pub settings: AblationOptions,
     /// Fingerprint of the network's weights.
     pub weights: String,
 }
@@ -64,7 +50,7 @@ pub(super) enum Choice {
 
 impl Networks {
     /// Checks that all networks have the same recipe, window and number of cameras.
-    pub(super) fn check(&self) -> Result<(), AblateError> {
+    pub(super) fn check(&self) -> Result<(), AblationError> {
         let shape = |network: &Network| {
             let config = network.config();
             (config.recipe.clone(), config.frames, network.cameras())
@@ -72,7 +58,7 @@ impl Networks {
         let main = shape(&self.main);
         match self.plain.iter().chain(&self.others).map(shape).find(|other| *other != main) {
             None => Ok(()),
-            Some(other) => Err(AblateError::Networks { found: format!("{main:?} and {other:?}") }),
+            Some(other) => Err(AblationError::Networks { found: format!("{main:?} and {other:?}") }),
         }
     }
 

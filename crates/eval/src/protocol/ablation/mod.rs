@@ -14,8 +14,8 @@ mod run;
 mod scene;
 mod study;
 
-pub use error::AblateError;
-pub use options::{AblateOptions, Networks, Origin};
+pub use error::AblationError;
+pub use options::{AblationOptions, Networks, Origin};
 pub use report::Report;
 pub use rows::Table;
 pub use run::RunResult;

@@ -2,7 +2,7 @@
 
 use pskel_generate::{DroppedConditions, GenerateOptions, Guidance, SamplerOptions, Strategy};
 
-use super::options::{AblateOptions, Choice, Networks, Origin};
+use super::options::{AblationOptions, Choice, Networks, Origin};
 use point_skeleton::named;
 
 /// Variant of the generator.
@@ -43,7 +43,7 @@ pub enum Table {
     Seeds,
 }
 
-named!(Table, "table" {
+named!(Table, "part" {
     Strategies => "strategies", "Generation strategies";
     Forecasts => "forecasts", "Forecasts that come true, against forecasts of a standstill";
     Conditions => "conditions", "Color and depth of the points as conditions";
@@ -71,13 +71,13 @@ const NONE: DroppedConditions =
 
 /// Returns the variants of some tables, or of all tables if none are given. The first row is the full
 /// generator, the baseline of the others.
-pub(super) fn rows(networks: &Networks, tables: &[Table], options: &AblateOptions) -> Vec<Row> {
-    let mut rows = all_rows(networks, options);
+pub(super) fn rows(networks: &Networks, tables: &[Table]) -> Vec<Row> {
+    let mut rows = all_rows(networks);
     rows.retain(|row| tables.is_empty() || row.tables.iter().any(|table| tables.contains(table)));
     rows
 }
 
-fn all_rows(networks: &Networks, options: &AblateOptions) -> Vec<Row> {
+fn all_rows(networks: &Networks) -> Vec<Row> {
     use Table::{Augmentation, Conditions, Forecasts, InferSteps, Seeds, Strategies};
     let main = || Row {
         name: "reset_and_roll".to_owned(),
@@ -114,8 +114,8 @@ fn all_rows(networks: &Networks, options: &AblateOptions) -> Vec<Row> {
     let mut rows = vec![
         main(),
         Row { tables: &[Strategies, Forecasts], ..strategy(Strategy::Rolling) },
-        strategy(Strategy::Causal { history_noise: options.history_noise }),
-        strategy(Strategy::NonCausal { forecasts: options.ahead }),
+        strategy(Strategy::Causal { history_noise: 0 }),
+        strategy(Strategy::NonCausal { forecasts: 1 }),
         standstill(Strategy::ResetAndRoll),
         standstill(Strategy::Rolling),
         without("layout", "layout alone", true, true),
@@ -137,15 +137,15 @@ fn all_rows(networks: &Networks, options: &AblateOptions) -> Vec<Row> {
 }
 
 impl Row {
-    pub(super) fn origin(&self, networks: &Networks, options: &AblateOptions) -> Origin {
+    pub(super) fn origin(&self, networks: &Networks, options: &AblationOptions) -> Origin {
         Origin { settings: options.clone(), weights: networks.get(self.network).fingerprint().to_owned() }
     }
 
-    pub(super) fn options(&self, networks: &Networks, options: &AblateOptions) -> GenerateOptions {
+    pub(super) fn options(&self, networks: &Networks) -> GenerateOptions {
         let window = networks.get(self.network).config().frames;
         GenerateOptions {
             window,
-            steps: self.times_steps * options.infer_steps.unwrap_or(window),
+            steps: self.times_steps * window,
             clean: 0,
             strategy: self.strategy,
             sampler: SamplerOptions::default(),

@@ -3,7 +3,30 @@ use smartcore::linalg::basic::arrays::Array;
 use smartcore::linalg::basic::matrix::DenseMatrix;
 use smartcore::linalg::traits::evd::EVDDecomposable;
 
-use crate::FeatureSet;
+/// Features `[N, D]`, a row per image or per video.
+#[derive(Clone, Debug, PartialEq)]
+pub struct FeatureSet {
+    columns: usize,
+    values: Vec<f64>,
+}
+
+impl FeatureSet {
+    /// Creates a set from `values`, row by row. `None` if they are not whole rows of `columns` values.
+    pub fn new(columns: usize, values: Vec<f64>) -> Option<Self> {
+        let whole = values.is_empty() || (columns > 0 && values.len().is_multiple_of(columns));
+        whole.then_some(Self { columns, values })
+    }
+
+    /// Number of features per row, D.
+    pub fn columns(&self) -> usize {
+        self.columns
+    }
+
+    /// Iterates over the rows, `[D]` each.
+    pub fn rows(&self) -> impl ExactSizeIterator<Item = &[f64]> {
+        self.values.chunks_exact(self.columns.max(1))
+    }
+}
 
 /// Error of a Fréchet distance between two sets of features.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
@@ -34,8 +57,9 @@ pub enum FrechetError {
 /// Returns an error if a set has less than two rows, if the sets differ in the number of features, if a
 /// feature is not finite, or if eigenvalues are not found.
 pub fn frechet_distance(a: &FeatureSet, b: &FeatureSet) -> Result<f64, FrechetError> {
-    if a.len() < 2 || b.len() < 2 {
-        return Err(FrechetError::Rows(a.len(), b.len()));
+    let rows = [a, b].map(|set| set.rows().len());
+    if rows.iter().any(|rows| *rows < 2) {
+        return Err(FrechetError::Rows(rows[0], rows[1]));
     }
     if a.columns() != b.columns() {
         return Err(FrechetError::Columns(a.columns(), b.columns()));
@@ -69,7 +93,7 @@ struct Moments {
 
 impl Moments {
     fn new(set: &FeatureSet) -> Self {
-        let (rows, columns) = (set.len(), set.columns());
+        let (rows, columns) = (set.rows().len(), set.columns());
         let mut mean = vec![0.0; columns];
         for row in set.rows() {
             mean.iter_mut().zip(row).for_each(|(sum, v)| *sum += v);
@@ -211,6 +235,7 @@ mod tests {
 
     #[test]
     fn rejects_invalid_feature_sets() {
+        assert_eq!([FeatureSet::new(2, vec![1.0; 3]), FeatureSet::new(0, vec![1.0])], [None, None]);
         let (one, two) =
             (FeatureSet::new(2, vec![1.0; 2]).unwrap(), FeatureSet::new(2, vec![1.0; 4]).unwrap());
         assert_eq!(frechet_distance(&one, &two), Err(FrechetError::Rows(1, 2)));

@@ -11,20 +11,17 @@ use serde::Serialize;
 use super::rows::{Row, Table};
 use super::run::RunResult;
 use crate::plot::{Curve, Plot};
+use crate::table::interval;
 use crate::{MeanInterval, mean_interval, paired_difference};
 
 /// Reported metrics: name in the results, column, digits.
-const COLUMNS: [(&str, &str, usize); 10] = [
+const COLUMNS: [(&str, &str, usize); 6] = [
     ("psnr_db", "PSNR (dB)", 2),
     ("psnr_db_slope_per_s", "PSNR slope (dB/s)", 3),
     ("ssim", "SSIM", 3),
     ("sharpness_ratio", "sharpness ratio", 2),
     ("motion_slope", "motion", 2),
     ("flicker", "flicker", 2),
-    ("iou_vehicles", "IoU vehicles", 3),
-    ("iou_vehicles_ratio", "IoU ratio", 2),
-    ("frechet_images", "Fréchet, images", 3),
-    ("frechet_videos", "Fréchet, videos", 3),
 ];
 
 /// Results of all variants.
@@ -149,19 +146,13 @@ impl RowReport {
 }
 
 fn cells(numbers: &BTreeMap<String, Option<MeanInterval>>) -> Vec<String> {
-    let cell = |(name, _, digits): &(&str, &str, usize)| match numbers.get(*name).copied().flatten() {
-        None => "-".to_owned(),
-        Some(MeanInterval { mean, half_width: None, .. }) => format!("{mean:.digits$}"),
-        Some(MeanInterval { mean, half_width: Some(width), .. }) => {
-            format!("{mean:.digits$} ± {width:.digits$}")
-        }
-    };
-    COLUMNS.iter().map(cell).collect()
+    let cell = |(name, _, digits)| interval(numbers.get(name).copied().flatten(), digits);
+    COLUMNS.map(cell).to_vec()
 }
 
 #[cfg(test)]
 mod tests {
-    use super::super::options::{AblateOptions, Choice, Origin};
+    use super::super::options::{AblationOptions, Choice, Origin};
     use super::*;
     use point_skeleton::files::Inputs;
     use pskel_generate::{DroppedConditions, Strategy};
@@ -183,10 +174,7 @@ mod tests {
         RunResult {
             scene: scene.into(),
             row: row.into(),
-            origin: Origin {
-                settings: AblateOptions { steps: 2, ..AblateOptions::default() },
-                weights: String::new(),
-            },
+            origin: Origin { settings: AblationOptions { steps: 2, seed: 0 }, weights: String::new() },
             numbers: [("psnr_db".to_owned(), Some(psnr_db)), ("ssim".to_owned(), None)].into(),
             t_s: vec![0.6, 0.8],
             psnr_db: vec![Some(psnr_db), Some(psnr_db - 1.0)],

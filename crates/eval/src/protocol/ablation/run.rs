@@ -10,14 +10,13 @@ use point_skeleton::files::json;
 use point_skeleton::files::write_whole;
 use pskel_generate::{Codec, Condition, FrameConditions, GaussianNoise, Generator};
 use pskel_sim::{Committed, Forecast};
-use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use super::error::AblateError;
-use super::options::{AblateOptions, Networks, Origin};
+use super::error::AblationError;
+use super::options::{AblationOptions, Networks, Origin};
 use super::rows::Row;
 use super::scene::{Scene, SceneFrame};
-use crate::{PatchClassifier, RandomConvNet, RolloutScores, ScoredFrame, SegmentationMasks};
+use crate::{RolloutScores, ScoredFrame};
 
 /// Result of a variant in a scene, `SCENE/ROW.json`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -39,8 +38,6 @@ pub struct RunResult {
 /// Image strip of a variant, for visual inspection.
 pub(super) struct Strip(RgbImage);
 
-/// Name of the segmentor in the numbers.
-const SEGMENTOR: &str = "vehicles";
 /// Number of images in a strip, and their magnification.
 const SHOWN: usize = 8;
 const ENLARGED: u32 = 3;
@@ -65,17 +62,17 @@ pub(super) fn run(
     scene: &Scene,
     row: &Row,
     networks: &Networks,
-    study: &AblateOptions,
-) -> Result<(RunResult, Strip), AblateError> {
+    study: &AblationOptions,
+) -> Result<(RunResult, Strip), AblationError> {
     let network = networks.get(row.network);
     let given = |conditions: &Committed<FrameConditions>| conditions.clone().map(|c| c.without(row.dropped));
-    let options = row.options(networks, study);
+    let options = row.options(networks);
     let (before, frames) = scene.frames.split_at(options.references());
     let reference = |frame: &SceneFrame| Ok((network.encode(&frame.truth)?, given(&frame.conditions)));
-    let references = before.iter().map(reference).collect::<Result<Vec<_>, AblateError>>()?;
+    let references = before.iter().map(reference).collect::<Result<Vec<_>, AblationError>>()?;
     let noise = GaussianNoise { seed: study.seed };
     let mut generator = Generator::new(network.clone(), noise, options, references)?;
-    let mut scores = RolloutScores::new(RandomConvNet::new(study.seed));
+    let mut scores = RolloutScores::default();
     let mut strip = Strip::new(frames);
     for (number, frame) in frames.iter().enumerate() {
         let expected = |forecast: &Forecast<FrameConditions>| match row.expects_standstill {
@@ -87,52 +84,25 @@ pub(super) fn run(
         let latent = generator.step(conditions.clone(), &forecasts)?;
         let images = network.decode(&latent, conditions.get())?;
         strip.add(number, frames.len(), &images, &frame.truth);
-        let half = usize::from(number >= frames.len() / 2);
-        let classifier = scene.classifiers.as_ref().map(|halves| &halves[half]);
-        score(&mut scores, frame, &images, classifier)?;
+        scores.push(&ScoredFrame {
+            t_s: frame.t_s,
+            generated: &images,
+            truth: Some(&frame.truth),
+            class: None,
+            moving: Some(&frame.moving),
+            masks: None,
+        })?;
     }
-    let (scores, features) = scores.finish();
-    let distances = features.distances()?;
-    let mut numbers = scores.numbers();
-    numbers.insert("frechet_images".to_owned(), distances.images.map(|d| d.distance));
-    numbers.insert("frechet_videos".to_owned(), distances.videos.map(|d| d.distance));
+    let scores = scores.finish();
     let result = RunResult {
         scene: scene.name.clone(),
         row: row.name.clone(),
         origin: row.origin(networks, study),
-        numbers,
+        numbers: scores.numbers(),
         t_s: scores.t_s,
         psnr_db: scores.psnr_db.steps,
     };
     Ok((result, strip))
-}
-
-fn score(
-    scores: &mut RolloutScores,
-    frame: &SceneFrame,
-    images: &[RgbImage],
-    classifier: Option<&PatchClassifier>,
-) -> Result<(), AblateError> {
-    let segment = |images: &[RgbImage]| {
-        let of = |classifier: &PatchClassifier| {
-            images.par_iter().map(|image| classifier.segment(image)).collect::<Result<Vec<_>, _>>()
-        };
-        classifier.map(of).transpose()
-    };
-    let (generated, truth) = (segment(images)?, segment(&frame.truth)?);
-    let segmented: Vec<SegmentationMasks<'_>> = generated
-        .iter()
-        .map(|generated| SegmentationMasks { name: SEGMENTOR, generated, truth: truth.as_deref() })
-        .collect();
-    scores.push(&ScoredFrame {
-        t_s: frame.t_s,
-        generated: images,
-        truth: Some(&frame.truth),
-        class: Some(&frame.class),
-        moving: Some(&frame.moving),
-        segmented: &segmented,
-    })?;
-    Ok(())
 }
 
 impl Strip {

@@ -1,5 +1,5 @@
-//! `pskel protocol`: generates the clips of an evaluation protocol and scores them. Each clip is a rollout of
-//! `pskel simulate` in its own folder.
+//! Generates the clips of an evaluation protocol and scores them. Each clip is a rollout of `pskel simulate`
+//! in its own folder.
 
 use std::cell::RefCell;
 use std::path::{Path, PathBuf};
@@ -12,7 +12,7 @@ use clap::Args;
 use point_skeleton::Log;
 use point_skeleton::conditions::write::meta::PromptParts;
 use point_skeleton::conditions::{Captions, ConditionOptions, MapFormat};
-use point_skeleton::dataset::{LogLocator, LogOpener, expand, nuscenes};
+use point_skeleton::dataset::{LogLocator, LogOpener, nuscenes};
 use point_skeleton::error::{FileError, with_causes};
 use point_skeleton::files::input::is_there;
 use point_skeleton::files::{Inputs, OutputFolder, write_json, write_whole};
@@ -26,12 +26,11 @@ use pskel_sim::{Rates, Scenario};
 use serde::Serialize;
 use serde_json::Value;
 
-use super::simulate::{self, ClipArgs, SimulateArgs};
+use super::super::simulate::{self, ClipArgs, SimulateArgs};
+use super::logs::ProtocolLogs;
 use crate::args::generator::GeneratorArgs;
-use crate::args::log::{self, LogRoots};
 use crate::args::maps::MapArgs;
-use crate::args::names::names;
-use crate::args::outputs::{self, FolderArgs};
+use crate::args::outputs::FolderArgs;
 use crate::args::prompt::PromptArgs;
 use crate::args::rasterizer::RasterizerArgs;
 use crate::args::rollout::RolloutArgs;
@@ -48,21 +47,9 @@ use crate::{WrongUsage, logs, say, tell};
 /// that fail are reported at the end.
 #[derive(Debug, Args)]
 #[command(mut_arg("generator", |arg| arg.default_value("network")))]
-pub(crate) struct ProtocolArgs {
-    /// Protocol
-    #[arg(value_parser = names::<Protocol>())]
-    protocol: Protocol,
-    /// Recordings: FORMAT:PATH[@VERSION][#SCENE]; of sets, like nuscenes:ROOT@v1.0-trainval#* or
-    /// nuplan-simgen:FOLDER, those of the protocol
-    #[arg(value_name = "LOG", required = true, value_parser = log::log)]
-    logs: Vec<LogLocator>,
+pub(crate) struct ClipProtocolArgs {
     #[command(flatten)]
-    roots: LogRoots,
-    /// Folder of skeletons, one per recording and named after it; those that do not exist are built
-    #[arg(long, value_name = "DIR", value_parser = outputs::output_folder())]
-    skeletons: PathBuf,
-    #[command(flatten)]
-    folder: FolderArgs,
+    given: ProtocolLogs,
     /// Parts of the protocol [default: all]
     #[arg(long, value_name = "PART,..", value_delimiter = ',')]
     parts: Vec<String>,
@@ -105,7 +92,8 @@ const FILES: [&str; 3] = ["protocol.json", "results.json", "table.md"];
 
 /// A run of the command.
 struct Run<'a> {
-    args: &'a ProtocolArgs,
+    protocol: Protocol,
+    args: &'a ClipProtocolArgs,
     /// Keeps the tables of a data set between its logs.
     opener: Arc<LogOpener>,
     /// Copy of the data set, if a part has one.
@@ -121,25 +109,25 @@ struct Run<'a> {
     logs: Vec<String>,
 }
 
-/// Runs the command: generates and scores the clips, writes the table.
-pub(crate) fn run(args: &ProtocolArgs) -> anyhow::Result<()> {
+/// Generates and scores the clips of a protocol, writes the table.
+pub(super) fn run(protocol: Protocol, args: &ClipProtocolArgs) -> anyhow::Result<()> {
     let start = Instant::now();
     args.generator.check()?;
     args.maps.check()?;
-    let parts = args.parts()?;
+    let parts = args.parts(protocol)?;
     let opener = Arc::default();
-    let logs = args.logs(&opener)?;
+    let logs = args.logs(protocol, &opener)?;
     let copied = parts.iter().find(|part| part.copies_dataset);
     copied.map_or(Ok(()), |part| check_one_dataset(part, &logs))?;
-    let files = OutputFolder::open(&args.folder.out, "protocol", &args.inputs(&logs))?;
+    let files = OutputFolder::open(&args.given.folder.out, "protocol", &args.inputs(&logs))?;
     files.check(FILES)?;
     let dataset = files.folder("dataset")?;
     let copy = copied.map(|_| DatasetCopy::open(&logs[0].path, &dataset, None)).transpose()?;
     parts.iter().try_for_each(|part| files.folder(part.name).map(drop))?;
-    let references = args.settle(&logs, &opener, &files)?;
+    let references = args.settle(protocol, &logs, &opener, &files)?;
     let parts = parts.into_iter().map(|part| PartRollouts { part, folders: Vec::new(), frames: 0 }).collect();
     let (copied, names) = Default::default();
-    let mut run = Run { args, opener, copy, files: &files, references, parts, copied, logs: names };
+    let mut run = Run { protocol, args, opener, copy, files: &files, references, parts, copied, logs: names };
     let mut failures = 0_usize;
     for locator in &logs {
         if let Err(error) = run.generate(locator) {
@@ -155,12 +143,12 @@ pub(crate) fn run(args: &ProtocolArgs) -> anyhow::Result<()> {
     files.close()?;
     let (count, seconds) = (logs.len(), start.elapsed().as_secs_f64());
     let plural = if count == 1 { "" } else { "s" };
-    say(&format!("{count} recording{plural} in {seconds:.2} s: {}", args.folder.out.display()));
+    say(&format!("{count} recording{plural} in {seconds:.2} s: {}", args.given.folder.out.display()));
     anyhow::ensure!(failures == 0, "expected rollouts of every recording, found {failures} that failed");
     Ok(())
 }
 
-impl ProtocolArgs {
+impl ClipProtocolArgs {
     /// Returns everything that is read, except for skeletons.
     fn inputs(&self, logs: &[LogLocator]) -> Inputs {
         let log_paths = logs.iter().flat_map(LogLocator::inputs);
@@ -171,31 +159,21 @@ impl ProtocolArgs {
     }
 
     /// Returns the selected parts, in order.
-    fn parts(&self) -> Result<Vec<Part>, WrongUsage> {
-        let mut parts = self.protocol.parts();
+    fn parts(&self, protocol: Protocol) -> Result<Vec<Part>, WrongUsage> {
+        let mut parts = protocol.parts();
         let names: Vec<&str> = parts.iter().map(|part| part.name).collect();
         if let Some(other) = self.parts.iter().find(|part| !names.contains(&part.as_str())) {
             return Err(WrongUsage(format!("expected --parts of {}, found {other}", names.join(", "))));
         }
         let is_selected = |name: &str| self.parts.is_empty() || self.parts.iter().any(|part| part == name);
         parts.retain(|part| is_selected(part.name));
-        let without = parts.iter().find(|part| part.reference.is_some_and(|name| !is_selected(name)));
-        if let Some((part, reference)) = without.and_then(|part| Some((part, part.reference?))) {
-            let message =
-                format!("expected --parts with {reference}, the reference of {}, found none", part.name);
-            return Err(WrongUsage(message));
-        }
         Ok(parts)
     }
 
     /// Returns the logs to generate: the protocol's logs, each once, or any with `--other-logs`.
-    fn logs(&self, opener: &LogOpener) -> anyhow::Result<Vec<LogLocator>> {
-        let mut found = Vec::new();
-        for log in &self.logs {
-            found.extend(expand(&self.roots.locate(log))?);
-        }
-        log::check_once(&found)?;
-        let mut missing = self.protocol.logs();
+    fn logs(&self, protocol: Protocol, opener: &LogOpener) -> anyhow::Result<Vec<LogLocator>> {
+        let found = self.given.expand()?;
+        let mut missing = protocol.logs();
         if self.other_logs || missing.is_empty() {
             return Ok(found);
         }
@@ -207,7 +185,7 @@ impl ProtocolArgs {
                 ours.push(locator);
             }
         }
-        let (count, name) = (missing.len(), self.protocol.name());
+        let (count, name) = (missing.len(), protocol.name());
         let Some(first) = missing.first() else { return Ok(ours) };
         let message = format!(
             "expected all recordings of {name}, or --other-logs, found that {count} are missing, the first \
@@ -218,14 +196,20 @@ impl ProtocolArgs {
 
     /// Writes the settings, or compares them with an earlier run's. Returns the number of the generator's
     /// reference frames.
-    fn settle(&self, logs: &[LogLocator], opener: &LogOpener, files: &OutputFolder) -> anyhow::Result<usize> {
+    fn settle(
+        &self,
+        protocol: Protocol,
+        logs: &[LogLocator],
+        opener: &LogOpener,
+        files: &OutputFolder,
+    ) -> anyhow::Result<usize> {
         let first = logs.first().context("expected a recording, found none")?;
         let log = logs::open_by(first, opener)?;
         let rates = Rates::of(first.format);
         let opened = self.generator.open(&DenoiserRig::of(log.recording(), rates.plan_hz))?;
         let opened = opened.context("expected a network for --generator, found none")?;
         let settings = serde_json::to_value(Settings {
-            protocol: self.protocol.name(),
+            protocol: protocol.name(),
             generator: serde_json::to_value(opened.report())?,
             maps: self.maps.conditions(self.maps.maps.unwrap_or_default()),
             selection: self.maps.selection(),
@@ -249,7 +233,7 @@ impl Run<'_> {
         let log = source.recording();
         anyhow::ensure!(!self.logs.contains(&log.name), "expected each name once, found {} again", log.name);
         self.copy.as_ref().map_or(Ok(()), |copy| copy.check(log))?;
-        let skeleton = self.args.skeletons.join(&log.name);
+        let skeleton = self.args.given.skeletons.skeletons.join(&log.name);
         if !skeleton.exists() {
             tell(&format!("building {}", skeleton.display()));
         }
@@ -305,7 +289,7 @@ impl Run<'_> {
             source: SourceArgs {
                 log: locator.clone(),
                 skeleton: skeleton.to_owned(),
-                roots: args.roots.clone(),
+                roots: args.given.roots.clone(),
             },
             folder: FolderArgs { out: out.to_owned() },
             rollout: RolloutArgs {
@@ -336,9 +320,8 @@ impl Run<'_> {
         let mut on_start = |steps| *progress.borrow_mut() = Some(Progress::new(steps));
         let mut on_step =
             |name: &str| progress.borrow_mut().iter_mut().for_each(|progress| progress.step(name));
-        let (protocol, parts) = (self.args.protocol, &self.parts);
-        let rollouts = (self.args.folder.out.as_path(), parts.as_slice());
-        let report = ProtocolReport::score(protocol, &self.logs, rollouts, &mut on_start, &mut on_step)?;
+        let rollouts = (self.args.given.folder.out.as_path(), self.parts.as_slice());
+        let report = ProtocolReport::score(self.protocol, &self.logs, rollouts, &mut on_start, &mut on_step)?;
         drop(progress);
         write_json(&self.files.claim("results.json")?, &report)?;
         let (path, table) = (self.files.claim("table.md")?, report.table());

@@ -6,11 +6,11 @@ use pskel_generate::{ConditionerError, DenoiserError, GenerateError};
 use pskel_network::NetworkError;
 use pskel_sim::SimError;
 
-use crate::{FrechetError, PatchClassifierError, ScoreError};
+use crate::ScoreError;
 
 /// Error of an ablation study.
 #[derive(Debug, thiserror::Error)]
-pub enum AblateError {
+pub enum AblationError {
     /// The networks are not comparable.
     #[error("expected networks of one recipe, window and number of cameras, found {found}")]
     Networks {
@@ -25,8 +25,8 @@ pub enum AblateError {
         /// Number of planning steps in the log.
         found: usize,
     },
-    /// The class or instance map of a camera is missing.
-    #[error("expected class and instance maps, found none")]
+    /// The instance map of a camera is missing.
+    #[error("expected instance maps, found none")]
     NoMasks,
     /// The log cannot be read.
     #[error("{0}")]
@@ -55,15 +55,9 @@ pub enum AblateError {
     /// The options of a variant are inconsistent, or its generator failed.
     #[error("{0}")]
     Generate(#[from] GenerateError),
-    /// The classifiers cannot be trained or applied.
-    #[error("{0}")]
-    Classifier(#[from] PatchClassifierError),
     /// A frame cannot be scored.
     #[error("{0}")]
     Score(#[from] ScoreError),
-    /// A Fréchet distance cannot be computed.
-    #[error("{0}")]
-    Frechet(#[from] FrechetError),
     /// A result, the skeleton or a template cannot be read or written.
     #[error("{0}")]
     File(#[from] FileError),

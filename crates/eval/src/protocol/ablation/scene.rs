@@ -14,11 +14,9 @@ use pskel_sim::{
     ActorPolicy, Committed, EgoPolicy, Forecast, Instant, Rates, Scenario, SimOptions, Simulation,
 };
 
-use super::error::AblateError;
-use super::options::AblateOptions;
-use crate::{
-    MOVING_MPS, PatchClassifier, PatchClassifierError, PatchOptions, PatchTrainer, moving_mask, vehicle_mask,
-};
+use super::error::AblationError;
+use super::options::AblationOptions;
+use crate::{MOVING_MPS, moving_mask};
 
 /// Inputs shared by all variants in a log. In a synthetic log, the ego changes lanes; in a recorded one it
 /// follows the log, since images exist only where cameras have been.
@@ -27,8 +25,6 @@ pub(super) struct Scene {
     pub(super) name: String,
     /// References, then the frames to generate.
     pub(super) frames: Vec<SceneFrame>,
-    /// Classifiers for the first and the second half of the frames to generate; `None` without vehicles.
-    pub(super) classifiers: Option<[PatchClassifier; 2]>,
 }
 
 /// Inputs and ground truth of a planning step.
@@ -38,8 +34,6 @@ pub(super) struct SceneFrame {
     pub(super) conditions: Committed<FrameConditions>,
     pub(super) forecasts: Vec<Forecast<FrameConditions>>,
     pub(super) truth: Vec<RgbImage>,
-    /// Class map of each camera.
-    pub(super) class: Vec<Vec<u8>>,
     /// Pixels of moving actors, by camera.
     pub(super) moving: Vec<Vec<bool>>,
 }
@@ -49,20 +43,23 @@ pub(super) struct SceneOptions<'a> {
     pub(super) recipe: &'a Recipe,
     /// Number of frames before the first generated one, and of forecasts.
     pub(super) references: usize,
-    pub(super) study: &'a AblateOptions,
+    pub(super) study: &'a AblationOptions,
     pub(super) rasterizer: &'a RasterizerDesc,
-    /// Path of the skeleton, which is built if it does not exist and retained for later runs.
+    /// Path of the skeleton, which is built if it does not exist.
     pub(super) skeleton: &'a Path,
 }
 
 impl Scene {
     /// Builds the skeleton if it does not exist, and simulates the ego.
-    pub(super) fn render(name: &str, source: &Log, options: &SceneOptions<'_>) -> Result<Self, AblateError> {
+    pub(super) fn render(
+        name: &str,
+        source: &Log,
+        options: &SceneOptions<'_>,
+    ) -> Result<Self, AblationError> {
         check_length(source.recording(), options.count())?;
         let skeleton = skeleton::open_or_build(options.skeleton, source.reader())?;
         let log = source.recording();
-        let (substitutes, _) =
-            SubstituteOptions::augmented(options.study.augment).make(&skeleton, &log.name)?;
+        let (substitutes, _) = SubstituteOptions::default().make(&skeleton, &log.name)?;
         let render = RenderOptions {
             rasterizer: options.rasterizer.clone(),
             substitutes: &substitutes,
@@ -72,13 +69,11 @@ impl Scene {
         let mut renderer = Renderer::new(&skeleton, render)?;
         let map = source.require_map()?;
         let scenario = Scenario { log, map: map.clone(), rates: Rates::default() };
-        let conditioner =
-            Conditioner::new(log, map, options.recipe, "").with_maps(&[MapKind::Class, MapKind::Instance]);
+        let conditioner = Conditioner::new(log, map, options.recipe, "").with_maps(&[MapKind::Instance]);
         let simulation = Simulation::new(&scenario, sim_options(options, ego_of(source)))?;
         let drive = Drive { log: source, conditioner: &conditioner, options };
         let frames = drive.frames(simulation, &mut renderer)?;
-        let classifiers = classifiers(&frames[options.references..], options.study.seed)?;
-        Ok(Self { name: name.to_owned(), frames, classifiers })
+        Ok(Self { name: name.to_owned(), frames })
     }
 }
 
@@ -90,12 +85,12 @@ impl SceneOptions<'_> {
 }
 
 /// Rejects logs that are too short, because replayed actors are removed after the log ends.
-fn check_length(log: &Recording, count: usize) -> Result<(), AblateError> {
+fn check_length(log: &Recording, count: usize) -> Result<(), AblationError> {
     let ends = log.frames.first().zip(log.frames.last());
     let seconds = ends.map_or(0.0, |(first, last)| (last.t_us - first.t_us) as f64 / 1e6);
     let found = 1 + (seconds * Rates::default().plan_hz + 1e-6) as usize;
     if found < count {
-        return Err(AblateError::Length { expected: count, found });
+        return Err(AblationError::Length { expected: count, found });
     }
     Ok(())
 }
@@ -129,7 +124,7 @@ impl Drive<'_> {
         &self,
         mut simulation: Simulation<'_>,
         renderer: &mut Renderer<'_>,
-    ) -> Result<Vec<SceneFrame>, AblateError> {
+    ) -> Result<Vec<SceneFrame>, AblationError> {
         let count = self.options.count();
         let (mut frames, mut before, mut first_us) = (Vec::new(), None, None);
         while frames.len() < count {
@@ -152,54 +147,26 @@ impl Drive<'_> {
         forecasts: Vec<Forecast<FrameConditions>>,
         instant: &Instant,
         t_s: f64,
-    ) -> Result<SceneFrame, AblateError> {
+    ) -> Result<SceneFrame, AblationError> {
         let view = |view: &point_skeleton::geometry::View| self.conditioner.options().drawn_view(view);
         let size = self.options.recipe.size;
         let truth = GroundTruthImages::new(self.log.reader()).of(&drawn.get().state, view, size, true)?;
         let moves = instant.actors.iter().map(|actor| actor.speed_mps.abs() > MOVING_MPS);
         let moving: Vec<u32> =
             (1..).zip(moves).filter(|(_, moves)| *moves).map(|(number, _)| number).collect();
-        let (class, instance) = masks(&drawn.get().set)?;
+        let instance = instance(&drawn.get().set)?;
         Ok(SceneFrame {
             t_s,
             conditions: drawn.map(|drawn| drawn.conditions),
             forecasts,
             truth,
-            class,
             moving: instance.iter().map(|map| moving_mask(map, &moving)).collect(),
         })
     }
 }
 
-/// Trains classifiers for the first and the second half of the frames, each on the ground-truth images of the
-/// other half. `None` if a half shows no vehicles.
-fn classifiers(
-    frames: &[SceneFrame],
-    seed: u64,
-) -> Result<Option<[PatchClassifier; 2]>, PatchClassifierError> {
-    let (first, second) = frames.split_at(frames.len() / 2);
-    let train = |frames: &[SceneFrame]| {
-        let mut trainer = PatchTrainer::new(PatchOptions { seed, ..PatchOptions::default() });
-        for frame in frames {
-            for (image, class) in frame.truth.iter().zip(&frame.class) {
-                trainer.add(image, &vehicle_mask(class, image.width() as usize));
-            }
-        }
-        trainer.train()
-    };
-    match (train(second), train(first)) {
-        (Err(PatchClassifierError::Pixels { .. }), _) | (_, Err(PatchClassifierError::Pixels { .. })) => {
-            Ok(None)
-        }
-        (of_second, of_first) => Ok(Some([of_second?, of_first?])),
-    }
-}
-
-/// Class and instance maps of all cameras.
-type Masks = (Vec<Vec<u8>>, Vec<Vec<u32>>);
-
-fn masks(set: &ConditionSet) -> Result<Masks, AblateError> {
-    let of = |camera: &CameraConditions| Some((camera.class.clone()?, camera.instance.clone()?));
-    let all: Option<Vec<_>> = set.cameras.iter().map(of).collect();
-    Ok(all.ok_or(AblateError::NoMasks)?.into_iter().unzip())
+/// Returns the instance map of each camera.
+fn instance(set: &ConditionSet) -> Result<Vec<Vec<u32>>, AblationError> {
+    let of = |camera: &CameraConditions| camera.instance.clone();
+    set.cameras.iter().map(of).collect::<Option<_>>().ok_or(AblationError::NoMasks)
 }
