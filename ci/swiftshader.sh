@@ -29,4 +29,4 @@ if [ $# -eq 0 ]; then
     set -- gpu:: raster:: town_view:: real_frames:: devices_
 fi
 say "$driver: $*"
-cargo test --locked --no-fail-fast --workspace --exclude point-skeleton-fuzz --exclude pskel-shaders --lib --test suite --test devices --test examples -- "$@"
+cargo test --locked --no-fail-fast --workspace --exclude point-skeleton-fuzz --exclude pskel-shaders --lib --test suite --test devices -- "$@"

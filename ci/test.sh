@@ -36,7 +36,7 @@ run_tests() {
     RUST_TEST_THREADS=$(nproc | awk '{ print ($1 < 2) ? 2 : $1 }')
     export RUST_TEST_THREADS
     : >"$PSKEL_SKIP_LOG"
-    # Unit tests, the suite, doc tests and a short pass over the fuzz targets; also builds the examples.
+    # Unit tests, the suite of each crate, doc tests and a short pass over the fuzz targets; also builds the examples.
     cargo test "${packages[@]}" --locked --no-fail-fast 2>&1 | tee "$scratch/tests.log"
 }
 

@@ -44,8 +44,7 @@ fn peer_image(size: ImageSize) -> Vec<[u8; 3]> {
 
 #[test]
 fn resizing_equals_opencv_and_pillow() {
-    let peers: Peers =
-        serde_json::from_str(include_str!("../../crates/pskel/tests/peers/resize.json")).unwrap();
+    let peers: Peers = serde_json::from_str(include_str!("../peers/resize.json")).unwrap();
     for case in peers.cases {
         let size = |[height, width]: [u32; 2]| ImageSize { height, width };
         let (from, to) = (size(case.from), size(case.to));

@@ -6,14 +6,13 @@ use point_skeleton::cloud::{Bounds, Point};
 use point_skeleton::dataset::Class;
 use point_skeleton::error::FileError;
 use point_skeleton::skeleton::{
-    Asset, BuildOptions, BuildReport, Checksum, Chunk, Instances, Skeleton, SkeletonWriter, Source,
-    TemplateKind, TemplateLibrary, TemplateOptions, default_templates,
+    Asset, BuildOptions, BuildReport, Checksum, Chunk, Skeleton, SkeletonWriter, Source, TemplateKind,
+    TemplateLibrary,
 };
 use serde_json::json;
 
 use crate::tiny_log::RunPskel as _;
 use crate::tiny_log::{TinyLog, tree};
-use pskel_testing::shared::{shared, skeleton_of};
 
 /// Returns the sides and the top of a box, with a point every 5 cm.
 fn shell([length, width, height]: [f64; 3]) -> Vec<Point> {
@@ -270,50 +269,4 @@ fn degraded_assets_are_reproducible_and_listed_in_the_index() {
         let expected = if name.ends_with("color.png") { &worse } else { &clean };
         assert!(expected[name] == *bytes, "{name}");
     }
-}
-
-/// Returns real-world extents of a kind: length, width, height, each min and max, meters.
-fn known(kind: TemplateKind) -> [[f64; 2]; 3] {
-    match kind {
-        TemplateKind::Sedan => [[3.2, 5.3], [1.5, 2.3], [1.1, 1.8]],
-        TemplateKind::Suv => [[4.0, 5.5], [1.6, 2.4], [1.5, 2.1]],
-        TemplateKind::Pickup => [[4.2, 6.9], [1.7, 2.6], [1.8, 3.0]],
-        TemplateKind::Pedestrian => [[0.3, 1.2], [0.3, 1.2], [1.2, 2.1]],
-        TemplateKind::Bike => [[1.4, 2.5], [0.4, 1.1], [0.9, 2.0]],
-        _ => [[2.0, 20.0], [1.4, 4.5], [1.4, 6.0]],
-    }
-}
-
-#[test]
-fn templates_of_a_real_recording_have_plausible_sizes() {
-    let Some(folder) = shared("the PandaSet drive") else { return };
-    let folder = folder.join("data/pandaset-002/nuscenes");
-    let locator = format!("nuscenes:{}", folder.display()).parse().unwrap();
-    let dataset = pskel::logs::open(&locator).unwrap();
-    let frames: Vec<usize> = (0..dataset.recording().frames.len()).step_by(4).collect();
-    let options = BuildOptions::default();
-    let scratch = tempfile::tempdir().unwrap();
-    let built = skeleton_of(&scratch.path().join("s"), dataset.reader(), &frames, &options);
-    let assets: Vec<(&Asset, &[Point])> = built.manifest.actors.iter().zip(built.actors().unwrap()).collect();
-    let mut instances = Instances::new(TemplateOptions::default());
-    instances.add(&assets);
-    let (templates, report) = instances.templates();
-    let kinds: Vec<TemplateKind> = templates.iter().map(|(t, _)| t.kind).collect();
-    for kind in [TemplateKind::Sedan, TemplateKind::Suv, TemplateKind::Truck] {
-        assert!(kinds.contains(&kind), "{kinds:?}");
-    }
-    for (template, points) in templates.iter().chain(&default_templates()) {
-        println!("{:?}: {} points, {:?}", template.kind, points.len(), template.bounds);
-        for (axis, [least, most]) in known(template.kind).into_iter().enumerate() {
-            let extent = f64::from(template.bounds.max[axis]) - f64::from(template.bounds.min[axis]);
-            assert!((least..=most).contains(&extent), "{:?}: {extent} m along axis {axis}", template.kind);
-        }
-    }
-    // Every actor is accounted for.
-    let used: usize = report.templates.iter().map(|t| t.instances).sum();
-    let not_used = report.templates.iter().flat_map(|t| &t.clusters).filter(|c| !c.used);
-    let of_another_size: usize = not_used.map(|c| c.members.len()).sum();
-    assert!(of_another_size < used);
-    let left: usize = report.notes.iter().filter(|(n, _)| n.starts_with("actors")).map(|(_, c)| c).sum();
-    assert_eq!(used + left, assets.len());
 }

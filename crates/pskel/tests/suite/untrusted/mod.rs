@@ -3,4 +3,3 @@
 pub(super) mod files;
 pub(super) mod guarded;
 pub(super) mod names;
-pub(super) mod oversized;

@@ -1,0 +1,4 @@
+//! Tests of metrics by their public interface, one module per subject.
+#![allow(clippy::unwrap_used)] // helpers outside `#[test]`
+
+mod metrics;

@@ -1,0 +1,4 @@
+//! Tests of exports by their public interface, one module per layout.
+#![allow(clippy::unwrap_used)] // helpers outside `#[test]`
+
+mod mcap;

@@ -1,0 +1,10 @@
+//! Tests of simulations by their public interface, one module per subject.
+#![allow(clippy::unwrap_used)] // helpers outside `#[test]`
+
+mod actors;
+mod course;
+mod external;
+mod local_path;
+mod peer_ends;
+mod replay;
+mod resume;
