@@ -215,7 +215,7 @@ class Trials:
         codes = [process.returncode for process in pair]
         expect(0 in codes, f"expected one to succeed, found {errors}")
         for code, error in zip(codes, errors):
-            said = "no other process at work" in error
+            said = "output is locked by" in error
             expect(code == 0 or (code == 1 and said), f"expected a refusal that says why, found {code}: {error}")
         self.left_nothing(folder)
         found = tree(folder)

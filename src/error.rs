@@ -18,7 +18,7 @@ pub enum FileError {
         path: PathBuf,
     },
     /// Another process writes the same output.
-    #[error("expected no other process at work on this output, found {found}: {}", printable_path(path))]
+    #[error("output is locked by {found}: {}", printable_path(path))]
     Busy {
         /// Description of the process.
         found: String,

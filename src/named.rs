@@ -76,7 +76,8 @@ impl fmt::Display for UnknownName {
 #[macro_export]
 macro_rules! named {
     ($type:ident, $kind:literal {
-        $($(#[$attribute:meta])* $variant:ident $({ $($field:ident: $value:expr),+ })? => $name:literal, $help:expr;)+
+        $($(#[$attribute:meta])* $variant:ident $({ $($field:ident: $value:expr),+ })? =>
+            $name:literal, $help:expr;)+
     }) => {
         impl $type {
             /// All variants, in the order of lists.
@@ -123,13 +124,16 @@ macro_rules! named {
     };
 }
 
-/// Implements serde's `Serialize` and `Deserialize` for [`Named`] enums without data: their names. Older names
-/// are read too.
+/// Implements serde's `Serialize` and `Deserialize` for [`Named`] enums without data: their names. Older
+/// names are read too.
 #[macro_export]
 macro_rules! named_in_files {
     ($type:ident $(, $old:literal => $variant:ident)*) => {
         impl ::serde::Serialize for $type {
-            fn serialize<S: ::serde::Serializer>(&self, serializer: S) -> ::std::result::Result<S::Ok, S::Error> {
+            fn serialize<S: ::serde::Serializer>(
+                &self,
+                serializer: S,
+            ) -> ::std::result::Result<S::Ok, S::Error> {
                 serializer.serialize_str(self.name())
             }
         }

@@ -15,7 +15,7 @@ use crate::threads::{ThreadError, spawn_scoped};
 #[derive(Clone, Debug)]
 pub struct Pipeline<T> {
     depth: usize,
-    begun: VecDeque<T>,
+    in_flight: VecDeque<T>,
 }
 
 impl<T> Default for Pipeline<T> {
@@ -27,7 +27,7 @@ impl<T> Default for Pipeline<T> {
 impl<T> Pipeline<T> {
     /// Creates a pipeline with at most `depth` frames in flight, from 1 to [`FRAMES_IN_FLIGHT`].
     pub fn with_depth(depth: usize) -> Self {
-        Self { depth, begun: VecDeque::new() }
+        Self { depth, in_flight: VecDeque::new() }
     }
 
     /// Begins frames until as many as possible are in flight, then finishes the oldest one and returns it
@@ -42,11 +42,11 @@ impl<T> Pipeline<T> {
         mut begin: impl FnMut(&mut D) -> Result<Option<T>, E>,
         finish: impl FnOnce(&mut D, &T) -> Result<O, E>,
     ) -> Result<Option<(T, O)>, E> {
-        while self.begun.len() < self.depth {
+        while self.in_flight.len() < self.depth {
             let Some(tag) = begin(device)? else { break };
-            self.begun.push_back(tag);
+            self.in_flight.push_back(tag);
         }
-        let Some(tag) = self.begun.pop_front() else { return Ok(None) };
+        let Some(tag) = self.in_flight.pop_front() else { return Ok(None) };
         let output = finish(device, &tag)?;
         Ok(Some((tag, output)))
     }

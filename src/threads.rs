@@ -157,9 +157,9 @@ fn processors() -> usize {
 /// fewer).
 pub(crate) fn of_cpu_driver() -> usize {
     // Mesa 24 raised the limit from 16.
-    const MOST: usize = 32;
+    const MAX_POOL: usize = 32;
     let asked = std::env::var("LP_NUM_THREADS").ok().and_then(|text| text.parse::<usize>().ok());
-    2 * asked.unwrap_or_else(|| processors().max(online_processors())).min(MOST) + 2
+    2 * asked.unwrap_or_else(|| processors().max(online_processors())).min(MAX_POOL) + 2
 }
 
 /// Returns the machine's processor count, which drivers use whatever this process is limited to; 0 if

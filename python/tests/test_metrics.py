@@ -171,7 +171,7 @@ def test_command_writes_features_and_curve(tmp_path, inception_weights, i3d_weig
     assert float(rows[2]["fvd"]) == pytest.approx(frechet_distance(clips["generated"], clips["truth"]), rel=1e-9)
 
 
-def test_wrong_input_is_said(tmp_path, i3d_weights):
+def test_wrong_input_is_reported(tmp_path, i3d_weights):
     rollout = write_rollout(tmp_path / "rollout", 3)
     weights = torch.load(i3d_weights, weights_only=True)
     name = "Mixed_4e.b1b.conv3d.weight"

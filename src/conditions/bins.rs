@@ -17,7 +17,8 @@ pub enum BinScale {
 named!(BinScale, "scale of depth bins" {
     Linear => "linear", "Bins of equal width";
     Log => "log",
-        "Finer near the camera: 85 % of the bins for the nearest 60 % of the range, logarithmic in both parts";
+        "Finer near the camera: 85 % of the bins for the nearest 60 % of the range, logarithmic in both \
+            parts";
 });
 named_in_files!(BinScale);
 

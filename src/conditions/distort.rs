@@ -19,7 +19,7 @@ use crate::memory::{Need, reserve};
 use crate::scene::SceneState;
 
 /// Maximum ratio between a side of the pinhole image and the same side of the camera's image.
-const MOST_GROWTH: u32 = 4;
+const MAX_GROWTH: u32 = 4;
 
 /// Memory per pixel while a warp is computed: its ray, and its entry in the table.
 const RAY_BYTES: u64 = (size_of::<Option<DVec2>>() + size_of::<u32>()) as u64;
@@ -139,9 +139,9 @@ impl Warp {
             (low, high) = (low.min(pixel.floor()), high.max(pixel.floor() + 1.0));
         }
         let sides = high - low;
-        let most = |side: u32| f64::from((side * MOST_GROWTH).min(Camera::MAX_SIDE));
+        let most = |side: u32| f64::from((side * MAX_GROWTH).min(Camera::MAX_SIDE));
         if sides.x > most(size.width) || sides.y > most(size.height) {
-            let (camera, growth) = (camera.name.to_string(), MOST_GROWTH);
+            let (camera, growth) = (camera.name.to_string(), MAX_GROWTH);
             return Err(ConditionError::Lens { camera, size, height: sides.y, width: sides.x, growth });
         }
         let width = sides.x as u32;

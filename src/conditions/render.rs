@@ -52,18 +52,18 @@ pub fn draw_layouts(state: &SceneState, options: &ConditionOptions) -> Result<Co
     let views: Vec<View> = state.cameras.iter().map(|camera| camera.view.clone()).collect();
     let _memory = memory::reserve_step(&views, options)?;
     let mut cameras: Vec<CameraConditions> = views.iter().map(|view| blank(view, options)).collect();
-    let Shown { boxes, map } = Shown::of(state, options.maps)?;
+    let LayoutInputs { boxes, map } = LayoutInputs::of(state, options.maps)?;
     add_layouts(&mut cameras, layout::draw(boxes, map, &views, options));
     Ok(ConditionSet { cameras })
 }
 
 /// Content of the requested layouts.
-struct Shown<'a> {
+struct LayoutInputs<'a> {
     boxes: Option<&'a [ActorState]>,
     map: Option<&'a SceneMap>,
 }
 
-impl<'a> Shown<'a> {
+impl<'a> LayoutInputs<'a> {
     fn of(state: &'a SceneState, maps: MapSet) -> Result<Self, ConditionError> {
         let no_map = || ConditionError::NoMap { step: state.name.clone() };
         let map = maps.contains(MapKind::Map).then(|| state.map.as_deref().ok_or_else(no_map));
@@ -113,7 +113,7 @@ impl StepInFlight {
         let asked = options.clone();
         let maps = asked.maps.with_parts(state.map.is_some());
         let options = &ConditionOptions { maps, ..options.clone() };
-        let Shown { boxes, map } = Shown::of(state, options.maps)?;
+        let LayoutInputs { boxes, map } = LayoutInputs::of(state, options.maps)?;
         let center = state.global_from_ego.translation.truncate();
         let crop = Crop { center, radius_m: options.radius_m };
         let views: Vec<View> = state.cameras.iter().map(|camera| camera.view.clone()).collect();

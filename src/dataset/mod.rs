@@ -268,7 +268,7 @@ pub enum DatasetError {
     },
     /// Error while generating a synthetic log.
     #[error(transparent)]
-    Made(Box<dyn std::error::Error + Send + Sync>),
+    Synthetic(Box<dyn std::error::Error + Send + Sync>),
 }
 
 /// Ends an error about a gap with the number of further ones.

@@ -55,7 +55,7 @@ impl LockedFile {
                 return Ok(file);
             }
         }
-        Err(busy(owner, "one that keeps removing its lock"))
+        Err(busy(owner, "a process that keeps removing its lock"))
     }
 
     /// Returns the file.
@@ -157,7 +157,7 @@ fn holder(file: &mut File) -> String {
     let mut text = String::new();
     let read = file.seek(SeekFrom::Start(0)).and_then(|_| file.take(40).read_to_string(&mut text));
     let number = read.ok().and_then(|_| text.strip_prefix(SIGNATURE)?.trim_end().parse::<u32>().ok());
-    number.map_or("one that holds its lock".to_owned(), |number| format!("process {number}"))
+    number.map_or("another process".to_owned(), |number| format!("process {number}"))
 }
 
 #[cfg(test)]
@@ -171,10 +171,7 @@ mod tests {
         let mut held = LockedFile::open(&path, Path::new("out")).unwrap();
         held.sign().unwrap();
         let message = LockedFile::open(&path, Path::new("out")).unwrap_err().to_string();
-        let expected = format!(
-            "expected no other process at work on this output, found process {}: out",
-            std::process::id()
-        );
+        let expected = format!("output is locked by process {}: out", std::process::id());
         assert_eq!(message, expected);
         drop(held);
         LockedFile::open(&path, Path::new("out")).unwrap();

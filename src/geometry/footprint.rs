@@ -100,18 +100,18 @@ impl Footprint {
 
 /// Clips a convex shape at a distance along an axis (Sutherland and Hodgman).
 fn clip(shape: &[DVec2], axis: DVec2, limit_m: f64) -> Vec<DVec2> {
-    let mut kept = Vec::with_capacity(shape.len() + 1);
+    let mut retained = Vec::with_capacity(shape.len() + 1);
     for (i, &to) in shape.iter().enumerate() {
         let from = shape[(i + shape.len() - 1) % shape.len()];
         let (a, b) = (axis.dot(from) - limit_m, axis.dot(to) - limit_m);
         if (a < 0.0) != (b < 0.0) {
-            kept.push(from.lerp(to, a / (a - b)));
+            retained.push(from.lerp(to, a / (a - b)));
         }
         if b < 0.0 {
-            kept.push(to);
+            retained.push(to);
         }
     }
-    kept
+    retained
 }
 
 #[cfg(test)]

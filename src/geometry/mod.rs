@@ -18,6 +18,6 @@ pub use cuboid::{Cuboid, CuboidError};
 pub use distortion::{Distortion, Lens};
 pub use extent::{MAX_COORDINATE_M, MAX_SIDE_M, MIN_SIDE_M, is_position, is_size};
 pub use footprint::Footprint;
-pub use polyline::{Foot, Polyline, wrap_angle};
+pub use polyline::{LineProjection, Polyline, wrap_angle};
 pub use pose::{Pose, PoseError};
 pub use size::{ImageSize, ParseOptionError};

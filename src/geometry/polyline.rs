@@ -15,7 +15,7 @@ pub struct Polyline {
 
 /// Point of a path that is nearest to a given point (foot).
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Foot {
+pub struct LineProjection {
     /// Arc length from the path's first point, meters; negative or above its length on the straight
     /// extensions.
     pub station_m: f64,
@@ -37,21 +37,21 @@ impl Polyline {
         points: impl IntoIterator<Item = DVec2>,
         direction: impl Fn(DVec2) -> DVec2,
     ) -> Option<Self> {
-        let (mut kept, mut stations_m): (Vec<DVec2>, Vec<f64>) = Default::default();
+        let (mut retained, mut stations_m): (Vec<DVec2>, Vec<f64>) = Default::default();
         for point in points {
-            let step_m = kept.last().map_or(0.0, |last| last.distance(point));
+            let step_m = retained.last().map_or(0.0, |last| last.distance(point));
             let station_m = stations_m.last().unwrap_or(&0.0) + step_m;
             if !station_m.is_finite() || !point.is_finite() {
                 return None;
             }
             // Far along a path, a step may vanish in the rounding of the station.
-            if kept.is_empty() || stations_m.last().is_some_and(|last| station_m > *last) {
-                kept.push(point);
+            if retained.is_empty() || stations_m.last().is_some_and(|last| station_m > *last) {
+                retained.push(point);
                 stations_m.push(station_m);
             }
         }
-        let directions = kept.windows(2).map(|ends| direction(ends[1] - ends[0])).collect();
-        (kept.len() >= 2).then_some(Self { points: kept, stations_m, directions })
+        let directions = retained.windows(2).map(|ends| direction(ends[1] - ends[0])).collect();
+        (retained.len() >= 2).then_some(Self { points: retained, stations_m, directions })
     }
 
     /// Returns the points, meters.
@@ -84,9 +84,9 @@ impl Polyline {
     }
 
     /// Returns the foot of a point (meters) on the pieces in a range of stations. Ties go to the first piece.
-    pub fn foot(&self, point: DVec2, stations_m: Range<f64>) -> Foot {
+    pub fn project(&self, point: DVec2, stations_m: Range<f64>) -> LineProjection {
         let (first, last) = (self.piece(stations_m.start), self.piece(stations_m.end));
-        let mut best = (f64::INFINITY, Foot { station_m: 0.0, offset_m: 0.0 });
+        let mut best = (f64::INFINITY, LineProjection { station_m: 0.0, offset_m: 0.0 });
         for piece in first..=last.max(first) {
             let (from, direction) = (self.points[piece], self.directions[piece]);
             let length_m = from.distance(self.points[piece + 1]);
@@ -97,7 +97,7 @@ impl Polyline {
             if away.length() < best.0 {
                 let side = if direction.perp_dot(away) < 0.0 { -1.0 } else { 1.0 };
                 let station_m = self.stations_m[piece] + along_m;
-                best = (away.length(), Foot { station_m, offset_m: side * away.length() });
+                best = (away.length(), LineProjection { station_m, offset_m: side * away.length() });
             }
         }
         best.1
@@ -161,46 +161,50 @@ mod tests {
 
     #[test]
     fn stations_are_arc_lengths() {
-        let way = corner();
-        assert_eq!((way.points().len(), way.length_m()), (3, 7.0));
-        assert_eq!(way.at(1.0), (DVec2::new(1.0, 0.0), DVec2::X));
-        assert_eq!(way.at(5.0), (DVec2::new(3.0, 2.0), DVec2::Y));
-        assert_eq!(way.at(-2.0), (DVec2::new(-2.0, 0.0), DVec2::X));
-        assert_eq!(way.at(9.0), (DVec2::new(3.0, 6.0), DVec2::Y));
+        let line = corner();
+        assert_eq!((line.points().len(), line.length_m()), (3, 7.0));
+        assert_eq!(line.at(1.0), (DVec2::new(1.0, 0.0), DVec2::X));
+        assert_eq!(line.at(5.0), (DVec2::new(3.0, 2.0), DVec2::Y));
+        assert_eq!(line.at(-2.0), (DVec2::new(-2.0, 0.0), DVec2::X));
+        assert_eq!(line.at(9.0), (DVec2::new(3.0, 6.0), DVec2::Y));
     }
 
     #[test]
-    fn foot_inverts_position() {
-        let way = corner();
+    fn projection_inverts_position() {
+        let line = corner();
         for station_m in [-3.0, 0.5, 2.0, 4.0, 6.5, 11.0] {
             for offset_m in [-0.9, 0.0, 0.4] {
-                let (place, direction) = way.at(station_m);
-                let foot = way.foot(place + direction.perp() * offset_m, -100.0..100.0);
+                let (place, direction) = line.at(station_m);
+                let projection = line.project(place + direction.perp() * offset_m, -100.0..100.0);
                 assert!(
-                    (foot.station_m - station_m).abs() < 1e-12 && (foot.offset_m - offset_m).abs() < 1e-12
+                    (projection.station_m - station_m).abs() < 1e-12
+                        && (projection.offset_m - offset_m).abs() < 1e-12
                 );
             }
         }
         // The range selects only the second piece.
-        assert_eq!(way.foot(DVec2::new(1.0, 1.0), 3.5..6.0), Foot { station_m: 4.0, offset_m: 2.0 });
+        assert_eq!(
+            line.project(DVec2::new(1.0, 1.0), 3.5..6.0),
+            LineProjection { station_m: 4.0, offset_m: 2.0 }
+        );
     }
 
     #[test]
     fn the_nearest_point_is_on_the_path_itself() {
-        let way = corner();
-        assert_eq!(way.nearest(DVec2::new(1.0, 2.0)), (1.0, 2.0));
-        assert_eq!(way.nearest(DVec2::new(4.0, 2.0)), (5.0, 1.0));
-        assert_eq!(way.nearest(DVec2::new(-3.0, 4.0)), (-3.0, 5.0));
-        assert_eq!(way.nearest(DVec2::new(3.0, 6.0)), (9.0, 2.0));
+        let line = corner();
+        assert_eq!(line.nearest(DVec2::new(1.0, 2.0)), (1.0, 2.0));
+        assert_eq!(line.nearest(DVec2::new(4.0, 2.0)), (5.0, 1.0));
+        assert_eq!(line.nearest(DVec2::new(-3.0, 4.0)), (-3.0, 5.0));
+        assert_eq!(line.nearest(DVec2::new(3.0, 6.0)), (9.0, 2.0));
     }
 
     #[test]
     fn parts_retain_corners_and_samples_are_even() {
-        let way = corner();
+        let line = corner();
         let points = |points: &[(f64, f64)]| points.iter().copied().map(DVec2::from).collect::<Vec<_>>();
-        assert_eq!(way.part(1.0, 5.0), points(&[(1.0, 0.0), (3.0, 0.0), (3.0, 2.0)]));
-        assert_eq!(way.part(-1.0, 3.0), points(&[(-1.0, 0.0), (0.0, 0.0), (3.0, 0.0)]));
-        assert_eq!(way.resampled(4.0), points(&[(0.0, 0.0), (3.0, 0.5), (3.0, 4.0)]));
+        assert_eq!(line.part(1.0, 5.0), points(&[(1.0, 0.0), (3.0, 0.0), (3.0, 2.0)]));
+        assert_eq!(line.part(-1.0, 3.0), points(&[(-1.0, 0.0), (0.0, 0.0), (3.0, 0.0)]));
+        assert_eq!(line.resampled(4.0), points(&[(0.0, 0.0), (3.0, 0.5), (3.0, 4.0)]));
     }
 
     #[test]

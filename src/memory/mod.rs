@@ -33,7 +33,7 @@ pub struct Need {
 /// More memory is needed than available.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error(
-    "{} needs {} of memory, but {} can be taken ({}): {}; {VARIABLE}=8G, for example, sets another limit",
+    "{} needs {} of memory, but {} is available ({}): {}; {VARIABLE}=8G, for example, sets another limit",
     need.what, Bytes(need.bytes), Bytes(available.bytes), available.source, need.advice
 )]
 pub struct MemoryError {

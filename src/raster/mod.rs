@@ -80,7 +80,7 @@ pub enum RasterError {
         max: u64,
     },
     /// A row of an image does not fit into any buffer of the device.
-    #[error("expected images that the device can hold a row of, found {width} pixels in a row")]
+    #[error("image width {width} exceeds the device's buffer limit")]
     TooWide {
         /// Width, pixels.
         width: u32,

@@ -77,23 +77,23 @@ pub fn augment(points: &[Point], track: &str, options: &AugmentOptions) -> (Vec<
     } else if thinned {
         Some(thin(points, first, options))
     } else {
-        one_view(points, first, second).filter(|(kept, _)| kept.len() >= options.min_points)
+        one_view(points, first, second).filter(|(retained, _)| retained.len() >= options.min_points)
     };
     match done {
-        Some((kept, how)) => (kept.into_iter().map(|i| points[i]).collect(), how),
+        Some((retained, how)) => (retained.into_iter().map(|i| points[i]).collect(), how),
         None => (points.to_vec(), Augmentation::None),
     }
 }
 
 /// Ascending indices of the retained points, and the degradation.
-type Kept = (Vec<usize>, Augmentation);
+type Reduced = (Vec<usize>, Augmentation);
 
 /// Number of bisection steps of the voxel size.
 const HALVINGS: u32 = 30;
 
 /// Retains one point per voxel. The voxel size approximates a target share of the points, which is
 /// log-uniform in `at` (0 to 1).
-fn thin(points: &[Point], at: f64, options: &AugmentOptions) -> Kept {
+fn thin(points: &[Point], at: f64, options: &AugmentOptions) -> Reduced {
     let [low, high] = options.ratio.map(f64::ln);
     let ratio = (low + (high - low) * at).exp();
     let wanted = (ratio * points.len() as f64).round().max(options.min_points as f64);
@@ -102,21 +102,21 @@ fn thin(points: &[Point], at: f64, options: &AugmentOptions) -> Kept {
     let mut best = (points.len() as f64 - wanted, 0.0, (0..points.len()).collect::<Vec<_>>());
     for _ in 0..HALVINGS {
         let voxel_m = (small * large).sqrt();
-        let kept = one_a_voxel(points, voxel_m);
-        let off = (kept.len() as f64 - wanted).abs();
-        let enough = kept.len() >= options.min_points;
-        if (kept.len() as f64) < wanted {
+        let retained = one_a_voxel(points, voxel_m);
+        let off = (retained.len() as f64 - wanted).abs();
+        let enough = retained.len() >= options.min_points;
+        if (retained.len() as f64) < wanted {
             large = voxel_m
         } else {
             small = voxel_m
         }
         if enough && off < best.0 {
-            best = (off, voxel_m, kept);
+            best = (off, voxel_m, retained);
         }
     }
-    let (_, voxel_m, kept) = best;
-    let how = Augmentation::Thinned { ratio, voxel_m, points: kept.len() };
-    (kept, how)
+    let (_, voxel_m, retained) = best;
+    let how = Augmentation::Thinned { ratio, voxel_m, points: retained.len() };
+    (retained, how)
 }
 
 /// Returns the index of the first point in each voxel, ascending.
@@ -142,7 +142,7 @@ const SURFACE_APART: f64 = 2.0;
 
 /// Returns the points visible from a camera on the side with more points, halfway to the front (or back),
 /// rotated by up to 30 degrees more. `end` and `turn` are in 0 to 1. `None` if the points have no extent.
-fn one_view(points: &[Point], end: f64, turn: f64) -> Option<Kept> {
+fn one_view(points: &[Point], end: f64, turn: f64) -> Option<Reduced> {
     let bounds = Bounds::of(points)?;
     let [min, max] = [bounds.min, bounds.max].map(|v| DVec3::from(v.map(f64::from)));
     let (centre, radius_m) = ((min + max) / 2.0, (max - min).length() / 2.0);
@@ -151,9 +151,9 @@ fn one_view(points: &[Point], end: f64, turn: f64) -> Option<Kept> {
     let from_front = if end < 0.5 { FRAC_PI_4 } else { 3.0 * FRAC_PI_4 };
     let azimuth_rad = side * from_front + (2.0 * turn - 1.0) * FRAC_PI_6;
     let view = camera_at(azimuth_rad, centre, radius_m)?;
-    let kept = seen(points, &view, &bounds, radius_m)?;
-    let how = Augmentation::OneView { azimuth_rad, points: kept.len() };
-    Some((kept, how))
+    let retained = seen(points, &view, &bounds, radius_m)?;
+    let how = Augmentation::OneView { azimuth_rad, points: retained.len() };
+    Some((retained, how))
 }
 
 fn camera_at(azimuth_rad: f64, centre: DVec3, radius_m: f64) -> Option<View> {
@@ -229,25 +229,25 @@ mod tests {
         let points = shell(0.04);
         for i in 0..=20 {
             let at = f64::from(i) / 20.0;
-            let (kept, how) = thin(&points, at, &AugmentOptions::default());
+            let (retained, how) = thin(&points, at, &AugmentOptions::default());
             let Augmentation::Thinned { ratio, voxel_m, points: count } = how else { panic!("{how:?}") };
             assert!((ratio - 0.05 * 16.0_f64.powf(at)).abs() < 1e-12, "log-uniform in 0.05 to 0.8");
-            assert_eq!((count, &kept), (kept.len(), &one_a_voxel(&points, voxel_m)));
+            assert_eq!((count, &retained), (retained.len(), &one_a_voxel(&points, voxel_m)));
             let found = count as f64 / points.len() as f64;
             // Points on a grid fall into voxels in whole rows, so not every ratio is attainable.
             assert!((found / ratio - 1.0).abs() < 0.2, "{ratio} {found}");
         }
         let few = shell(0.3);
         assert!(few.len() > 200 && few.len() < 1000, "{}", few.len());
-        let (kept, _) = thin(&few, 0.0, &AugmentOptions::default());
-        assert!((200..few.len()).contains(&kept.len()), "{}", kept.len());
+        let (retained, _) = thin(&few, 0.0, &AugmentOptions::default());
+        assert!((200..few.len()).contains(&retained.len()), "{}", retained.len());
     }
 
     #[test]
     fn one_view_sees_two_sides_of_a_box_and_nothing_behind() {
         let points = shell(0.03);
         for (end, turn) in [(0.2, 0.5), (0.7, 0.5), (0.2, 0.3), (0.9, 0.7)] {
-            let (kept, how) = one_view(&points, end, turn).unwrap();
+            let (retained, how) = one_view(&points, end, turn).unwrap();
             let Augmentation::OneView { azimuth_rad, .. } = how else { panic!("{how:?}") };
             let out = DVec3::new(azimuth_rad.cos(), azimuth_rad.sin(), 0.0);
             // Geometric test: a side faces the camera if the camera is in front of its plane.
@@ -259,10 +259,10 @@ mod tests {
             };
             let on_front = |p: &Point| faces(p, 0) || faces(p, 1);
             let facing = points.iter().filter(|p| on_front(p)).count();
-            let seen_facing = kept.iter().filter(|i| on_front(&points[**i])).count();
+            let seen_facing = retained.iter().filter(|i| on_front(&points[**i])).count();
             assert!(seen_facing as f64 > 0.99 * facing as f64, "{seen_facing} of {facing}");
             // Points on the far sides and the top may only lie within the tolerance of a facing edge.
-            for point in kept.iter().map(|i| &points[*i]).filter(|p| !on_front(p)) {
+            for point in retained.iter().map(|i| &points[*i]).filter(|p| !on_front(p)) {
                 let to_edge = [0, 1].map(|axis| {
                     let edge = SIZE[axis] / 2.0 * eye[axis].signum();
                     (f64::from(point.position[axis]) - edge).abs()
@@ -302,10 +302,10 @@ mod tests {
         assert!((48..=112).contains(&clean), "{clean}");
         let thinned = count(|how| matches!(how, Augmentation::Thinned { .. }));
         assert!((120..=200).contains(&thinned), "{thinned}");
-        for (kept, how) in &all {
-            assert!(kept.len() >= 200);
+        for (retained, how) in &all {
+            assert!(retained.len() >= 200);
             let clean = matches!(how, Augmentation::None);
-            assert_eq!(clean, *kept == points, "{how:?}");
+            assert_eq!(clean, *retained == points, "{how:?}");
         }
         assert_ne!(all[0], augment(&points, &tracks[0], &AugmentOptions { seed: 8, ..options }));
     }
@@ -318,8 +318,8 @@ mod tests {
         for bad in [f32::NAN, f32::INFINITY, 0.0, 1e38] {
             let points = vec![Point::new([bad; 3], [0; 3], 1); 500];
             for seed in 0..8 {
-                let (kept, _) = augment(&points, "a", &always(seed));
-                assert_eq!(kept.len(), 500, "{bad}");
+                let (retained, _) = augment(&points, "a", &always(seed));
+                assert_eq!(retained.len(), 500, "{bad}");
             }
         }
     }

@@ -36,9 +36,11 @@ pub enum Coloring {
 }
 
 named!(Coloring, "coloring" {
-    Agreed => "agreed", "One color, on which the images that see the point agree: the robust mean of the views that pass an \
+    Agreed => "agreed",
+        "One color, on which the images that see the point agree: the robust mean of the views that pass an \
         occlusion test";
-    EveryCamera => "every-camera", "One copy of the point for every camera of its frame that it projects into, occluded or not. For \
+    EveryCamera => "every-camera",
+        "One copy of the point for every camera of its frame that it projects into, occluded or not. For \
         comparison: the behavior of existing scripts";
 });
 named_in_files!(Coloring, "best-view" => Agreed);

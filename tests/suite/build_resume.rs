@@ -61,13 +61,13 @@ fn a_build_resumes_after_any_failure_to_the_same_bytes() {
         build(&out, &drive, &options, [100, 0]).unwrap();
         let whole = tree(&out);
         std::fs::remove_dir_all(&out).unwrap();
-        let mut kept = 0;
+        let mut retained = 0;
         for reads in 0..FRAMES {
             let breaking = Breaking { drive: &drive, left: AtomicUsize::new(reads) };
             match build(&out, &breaking, &options, [1, 0]) {
                 Err(BuildError::Interrupted { frames, path, .. }) => {
                     assert!(frames < FRAMES && path == folder.path().join("sk.partial"), "{frames}");
-                    kept = kept.max(frames);
+                    retained = retained.max(frames);
                     build(&out, &drive, &options, [2, 1]).unwrap();
                     assert!(tree(&out) == whole, "voxel {voxel_m}, {reads} reads, {frames} frames");
                     std::fs::remove_dir_all(&out).unwrap();
@@ -77,7 +77,7 @@ fn a_build_resumes_after_any_failure_to_the_same_bytes() {
             }
             assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0, "nothing is left");
         }
-        assert!(kept >= 2, "some builds break late: {kept}");
+        assert!(retained >= 2, "some builds break late: {retained}");
     }
 }
 

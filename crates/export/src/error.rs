@@ -47,7 +47,7 @@ pub enum ExportError {
         name: String,
     },
     /// The progress callback requested a stop.
-    #[error("expected to export to the end, found a request to stop")]
+    #[error("export cancelled")]
     Stopped,
     /// The log lacks something that the layout needs.
     #[error("expected {expected} in log {}, found {found}", printable(log))]

@@ -9,15 +9,15 @@ use point_skeleton::scene::{EgoOffset, SceneMap, frame_rate_hz, state_at, state_
 /// Asserts that an error ends with its file's name, as messages escape it, and is not much longer than the
 /// input that it may quote.
 #[track_caller]
-pub(crate) fn told(error: impl std::fmt::Display, file: &Path, input: &[u8]) {
+pub(crate) fn assert_names_file(error: impl std::fmt::Display, file: &Path, input: &[u8]) {
     let (message, file) = (error.to_string(), printable_path(file));
     assert!(message.ends_with(&file), "{message:?} does not end with {file}");
     short(&message, input);
 }
 
-/// Same as [`told`], for an error in one of a folder's files.
+/// Same as [`assert_names_file`], for an error in one of a folder's files.
 #[track_caller]
-pub(crate) fn told_within(error: impl std::fmt::Display, folder: &Path, input: &[u8]) {
+pub(crate) fn assert_names_file_in(error: impl std::fmt::Display, folder: &Path, input: &[u8]) {
     let (message, folder) = (error.to_string(), printable_path(folder));
     assert!(message.contains(&folder), "{message:?} names no file of {folder}");
     short(&message, input);
@@ -43,19 +43,21 @@ pub(crate) fn dataset(dataset: &dyn LogReader, folder: &Path, input: &[u8]) {
             (Ok(count), Ok(sweep)) => {
                 assert!(count.is_none_or(|n| n == (sweep.points.len() + sweep.dropped_non_finite) as u64));
             }
-            (check, read) => {
-                check.err().into_iter().chain(read.err()).for_each(|e| told(e, &record.path, input))
-            }
+            (check, read) => check
+                .err()
+                .into_iter()
+                .chain(read.err())
+                .for_each(|e| assert_names_file(e, &record.path, input)),
         }
     }
     for record in log.frames.iter().flat_map(|f| &f.images).take(2) {
         if let Err(error) = dataset.check_image(record) {
-            told(error, &record.path, input);
+            assert_names_file(error, &record.path, input);
         }
     }
     match dataset.read_map() {
         Ok(map) => map.iter().for_each(|map| check_map(map, log)),
-        Err(error) => told_within(error, folder, input),
+        Err(error) => assert_names_file_in(error, folder, input),
     }
 }
 

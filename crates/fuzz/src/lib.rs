@@ -15,7 +15,7 @@ mod check;
 mod choices;
 pub mod edits;
 mod folder;
-mod made;
+mod synthetic_log;
 mod targets;
 
 use std::cell::RefCell;

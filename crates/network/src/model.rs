@@ -110,24 +110,25 @@ impl Model {
     }
 
     /// Halves images whose sides are divided by a number.
-    fn halve(&self, x: &Tensor, by: usize) -> Result<Tensor> {
+    fn downsample(&self, x: &Tensor, by: usize) -> Result<Tensor> {
         let [height, width] = self.config.divided(by);
-        ops::halve(x, Resize { height, width, channels: x.dims2()?.1 })
+        ops::downsample(x, Resize { height, width, channels: x.dims2()?.1 })
     }
 
     /// Doubles images to sides that are divided by a number.
-    fn double(&self, x: &Tensor, by: usize) -> Result<Tensor> {
+    fn upsample(&self, x: &Tensor, by: usize) -> Result<Tensor> {
         let [height, width] = self.config.divided(by);
-        ops::double(x, Resize { height, width, channels: x.dims2()?.1 })
+        ops::upsample(x, Resize { height, width, channels: x.dims2()?.1 })
     }
 
     /// Encodes the conditions of frames.
     pub(crate) fn encode(&self, inputs: &Inputs) -> Result<EncodedConditions> {
         let full = self.stage(&inputs.pixels, "encode.full", 1)?;
-        let half = self.stage(&self.halve(&full, 1)?, "encode.half", 2)?;
-        let quarter = self.stage(&self.halve(&half, 2)?, "encode.quarter", 4)?;
-        let eighth = self.stage(&self.halve(&quarter, 4)?, "encode.eighth", 8)?;
-        let quarter = self.stage(&Tensor::cat(&[&self.double(&eighth, 4)?, &quarter], 1)?, "encode.up", 4)?;
+        let half = self.stage(&self.downsample(&full, 1)?, "encode.half", 2)?;
+        let quarter = self.stage(&self.downsample(&half, 2)?, "encode.quarter", 4)?;
+        let eighth = self.stage(&self.downsample(&quarter, 4)?, "encode.eighth", 8)?;
+        let quarter =
+            self.stage(&Tensor::cat(&[&self.upsample(&eighth, 4)?, &quarter], 1)?, "encode.up", 4)?;
         let of = |values: &[f32]| Tensor::from_slice(values, (1, LATENT_CHANNELS), &Device::Cpu);
         let centered = inputs.colors.broadcast_sub(&of(&self.statistics.means)?)?;
         let window = WindowConditions {
@@ -147,8 +148,8 @@ impl Model {
         let none =
             Tensor::zeros((latents.dims2()?.0, LANES - LATENT_CHANNELS), latents.dtype(), &Device::Cpu)?;
         let x = self.stage(&Tensor::cat(&[&window.features, latents, &none], 1)?, "decode.quarter", 4)?;
-        let x = self.stage(&Tensor::cat(&[&self.double(&x, 2)?, half], 1)?, "decode.half", 2)?;
-        let x = self.stage(&Tensor::cat(&[&self.double(&x, 1)?, full], 1)?, "decode.full", 1)?;
+        let x = self.stage(&Tensor::cat(&[&self.upsample(&x, 2)?, half], 1)?, "decode.half", 2)?;
+        let x = self.stage(&Tensor::cat(&[&self.upsample(&x, 1)?, full], 1)?, "decode.full", 1)?;
         (self.biased(&x, "decode.out")? + color)? + 0.5
     }
 
@@ -179,8 +180,8 @@ impl Model {
         let x = (self.linear(&shown, "latent.in")? + self.linear(&encoded.features, "conditions.in")?)?;
         let x = residual(&x, "denoise.first", 0)?;
         let grid = self.config.grid(windows, frames, encoded.views);
-        let tokens = self.tokens(&self.halve(&x, 4)?, encoded, grid, &part)?;
-        let x = (&x + self.double(&self.linear(&tokens, "tokens.out")?, 4)?)?;
+        let tokens = self.tokens(&self.downsample(&x, 4)?, encoded, grid, &part)?;
+        let x = (&x + self.upsample(&self.linear(&tokens, "tokens.out")?, 4)?)?;
         let x = residual(&x, "denoise.last", 1)?;
         self.linear(&ops::norm_modulate(&x, &part(columns.output(), 2 * quarter)?)?, "out")
     }

@@ -50,13 +50,13 @@ pub(super) fn convolve(x: &Tensor, weights: &Tensor, bias: &Tensor, shape: Convo
 }
 
 /// Returns the means of 2x2 pixels of images; `x [N H W, C]`.
-pub(super) fn halve(x: &Tensor, shape: Resize) -> Result<Tensor> {
-    x.apply_op1(ResizeOp { shape, doubles: false })
+pub(super) fn downsample(x: &Tensor, shape: Resize) -> Result<Tensor> {
+    x.apply_op1(ResizeOp { shape, upsamples: false })
 }
 
 /// Returns images at twice the size, H x W, by bilinear interpolation.
-pub(super) fn double(x: &Tensor, shape: Resize) -> Result<Tensor> {
-    x.apply_op1(ResizeOp { shape, doubles: true })
+pub(super) fn upsample(x: &Tensor, shape: Resize) -> Result<Tensor> {
+    x.apply_op1(ResizeOp { shape, upsamples: true })
 }
 
 struct ConvolutionOp(Convolution);
@@ -102,7 +102,7 @@ impl CustomOp3 for ConvolutionOp {
 /// Halves images, or doubles them.
 struct ResizeOp {
     shape: Resize,
-    doubles: bool,
+    upsamples: bool,
 }
 
 impl CustomOp1 for ResizeOp {
@@ -111,16 +111,17 @@ impl CustomOp1 for ResizeOp {
     }
 
     fn cpu_fwd(&self, x: &CpuStorage, layout: &Layout) -> Result<(CpuStorage, Shape)> {
-        let (Self { shape, doubles }, x) = (self, slice(x, layout)?);
-        let out = if *doubles { shape.double(x) } else { shape.halve(x) };
+        let (Self { shape, upsamples }, x) = (self, slice(x, layout)?);
+        let out = if *upsamples { shape.upsample(x) } else { shape.downsample(x) };
         let rows = out.len() / shape.channels;
         Ok((CpuStorage::F32(out), Shape::from((rows, shape.channels))))
     }
 
     fn bwd(&self, x: &Tensor, _: &Tensor, grad: &Tensor) -> Result<Option<Tensor>> {
-        let Self { shape, doubles } = self;
-        let of =
-            |grad: &[f32]| if *doubles { shape.double_backward(grad) } else { shape.halve_backward(grad) };
+        let Self { shape, upsamples } = self;
+        let of = |grad: &[f32]| {
+            if *upsamples { shape.upsample_backward(grad) } else { shape.downsample_backward(grad) }
+        };
         like(x, lend(&[grad], |t| of(t[0]))?).map(Some)
     }
 }

@@ -23,7 +23,7 @@ use point_skeleton::files::lacks_locks;
 use point_skeleton::memory::variable_limit;
 use point_skeleton::threads::start_pool;
 
-use self::terminal::{say, tell, tell_notes, warn};
+use self::terminal::{print_notes, print_progress, print_result, warn};
 
 /// Converts driving recordings into camera conditions: color, metric depth, class, instance and layout maps.
 #[derive(Debug, Parser)]
@@ -102,14 +102,14 @@ pub fn run(args: impl Iterator<Item = OsString>) -> u8 {
     let done = prepare().and_then(|()| cli.command.run()).and_then(|()| terminal::check());
     signals::wait_if_stopping();
     if lacks_locks() {
-        warn("the file system of an output has no locks: let no other process write there at the same time");
+        warn("the file system of an output has no locks: make sure that no other process writes there");
     }
     match done {
         Ok(()) => 0,
         Err(error) => {
-            terminal::tell(&format!("error: {}", with_causes(error.as_ref())));
+            terminal::print_progress(&format!("error: {}", with_causes(error.as_ref())));
             if let Some(advice) = advice::advice(&error) {
-                terminal::tell(&format!("  hint: {advice}"));
+                terminal::print_progress(&format!("  hint: {advice}"));
             }
             if error.is::<WrongUsage>() { 2 } else { FAILURE }
         }

@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 use indicatif::{HumanDuration, ProgressBar, ProgressStyle};
 use point_skeleton::skeleton;
 
-use super::{tell, warn};
+use super::{print_progress, warn};
 
 /// Maximum number of lines per stage without a terminal, so that logs of long runs stay readable.
 const LINES: u64 = 10;
@@ -38,7 +38,7 @@ impl Progress {
                 bar.inc(1);
             }
             None if self.is_worth_a_line() => {
-                tell(&format!("[{}/{}] {name}{}", self.done, self.total, time_left(self.left())));
+                print_progress(&format!("[{}/{}] {name}{}", self.done, self.total, time_left(self.left())));
             }
             None => {}
         }

@@ -15,7 +15,7 @@ use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 use signal_hook::iterator::Signals;
 use signal_hook::{flag, low_level};
 
-use super::terminal::tell;
+use super::terminal::print_progress;
 
 /// Interval within which signals count as one.
 const TOGETHER: Duration = Duration::from_millis(500);
@@ -63,7 +63,7 @@ fn stop(signal: i32) {
     files::remove_pending();
     peer::end_all();
     let name = low_level::signal_name(signal).unwrap_or("a signal");
-    tell(&format!("stopped by {name}: nothing half-written is left, finished outputs stay"));
+    print_progress(&format!("stopped by {name}: partial files were removed, finished outputs are retained"));
     low_level::exit(exit_code(signal));
 }
 

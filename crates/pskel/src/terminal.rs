@@ -10,7 +10,7 @@ use point_skeleton::files::text::{escaped_lines, printable_lines};
 static FAILURE: OnceLock<std::io::Error> = OnceLock::new();
 
 /// Prints a line of the result. A closed pipe is not an error; other errors are reported by [`check`].
-pub(super) fn say(line: &str) {
+pub(super) fn print_result(line: &str) {
     let mut out = std::io::stdout().lock();
     note(writeln!(out, "{}", escaped_lines(line)).and_then(|()| out.flush()));
 }
@@ -25,18 +25,18 @@ pub(super) fn note(written: std::io::Result<()>) {
 }
 
 /// Prints a line of progress. A closed or full stderr does not stop the work.
-pub(super) fn tell(line: &str) {
+pub(super) fn print_progress(line: &str) {
     let _ = writeln!(std::io::stderr(), "{}", printable_lines(line));
 }
 
 /// Prints a warning.
 pub(super) fn warn(text: &str) {
-    tell(&format!("warning: {text}"));
+    print_progress(&format!("warning: {text}"));
 }
 
 /// Prints notes on the content of a file.
-pub(super) fn tell_notes(path: &Path, notes: &[String]) {
-    notes.iter().for_each(|note| tell(&format!("note: {}: {note}", path.display())));
+pub(super) fn print_notes(path: &Path, notes: &[String]) {
+    notes.iter().for_each(|note| print_progress(&format!("note: {}: {note}", path.display())));
 }
 
 /// Checks that every line of the result was written.

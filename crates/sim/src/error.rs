@@ -34,8 +34,7 @@ pub enum SimError {
     /// `every_frames` is 0, given together with rates, or used with an ego or actors that do not follow the
     /// log.
     #[error(
-        "expected every so many-th frame to be a step of an ego and actors that follow the log, without \
-            rates, found every {every}"
+        "expected an ego and actors that follow the log, and no rates, with steps at every {every}-th frame"
     )]
     Frames {
         /// Given interval, frames.
@@ -70,8 +69,8 @@ pub enum SimError {
     Plan(#[from] super::peer::ProtocolError),
     /// The caller gives a plan at a step that has none.
     #[error(
-        "expected no plan for step {step}, which has one, is no planning step, or has an ego that does not \
-            follow the caller; found one"
+        "unexpected plan for step {step}: it has one, is no planning step, or its ego does not follow the \
+            caller"
     )]
     NotPlanned {
         /// Number of the step.

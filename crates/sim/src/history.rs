@@ -37,8 +37,8 @@ impl History {
             let Some(instant) = recorded.instant(0, t_us).filter(|_| now_us - t_us <= HISTORY_US) else {
                 break;
             };
-            let foot = recorded.logged_foot(&instant.ego, t_us);
-            let world = World { instant, driven: ControlledActors::default(), foot };
+            let projection = recorded.logged_projection(&instant.ego, t_us);
+            let world = World { instant, driven: ControlledActors::default(), projection };
             history.states.push_front(PastState { step: -step, world, files: Vec::new() });
         }
         history

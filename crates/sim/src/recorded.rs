@@ -2,7 +2,7 @@ use std::collections::BTreeMap;
 
 use glam::{DVec2, DVec3};
 use point_skeleton::dataset::{EgoTrack, Recording, TrackBox, TrafficLight};
-use point_skeleton::geometry::{Cuboid, Foot, Pose, wrap_angle};
+use point_skeleton::geometry::{Cuboid, LineProjection, Pose, wrap_angle};
 
 use super::time::seconds;
 use super::{EgoState, Instant, Scenario, SimActor, SimError, WHEELBASE_M};
@@ -127,9 +127,9 @@ impl<'a> Recorded<'a> {
     }
 
     /// Projects the log's ego at a time (microseconds) onto its own path.
-    pub(super) fn logged_foot(&self, ego: &EgoState, t_us: i64) -> Foot {
+    pub(super) fn logged_projection(&self, ego: &EgoState, t_us: i64) -> LineProjection {
         let place_m = ego.position_m();
-        self.route.around(self.route.station_at(t_us), place_m).foot(place_m)
+        self.route.around(self.route.station_at(t_us), place_m).project(place_m)
     }
 
     /// Returns a track's boxes in time order, with absolute microseconds.

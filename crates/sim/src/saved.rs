@@ -5,7 +5,7 @@ use glam::{DQuat, DVec3};
 use point_skeleton::dataset::Recording;
 use point_skeleton::error::FileError;
 use point_skeleton::files::json;
-use point_skeleton::geometry::{Cuboid, Foot, Pose};
+use point_skeleton::geometry::{Cuboid, LineProjection, Pose};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
@@ -72,7 +72,7 @@ struct SavedActor {
 
 impl SavedState {
     pub(super) fn new(options: &SimOptions, clock: &Clock, log: &Recording, saved: &Saved) -> Self {
-        let World { instant, driven, foot } = saved.world.get();
+        let World { instant, driven, projection } = saved.world.get();
         let ego = &instant.ego;
         let actor = |a: &SimActor| SavedActor {
             track: a.track,
@@ -85,7 +85,7 @@ impl SavedState {
         Self {
             version: VERSION,
             log: log.name.clone(),
-            options: told(options, clock),
+            options: fixed_options(options, clock),
             step: instant.step,
             ego: SavedEgo {
                 pose: write_pose(&ego.pose),
@@ -94,7 +94,7 @@ impl SavedState {
                 yaw_rate_radps: ego.yaw_rate_radps,
                 steering_rad: ego.steering_rad,
             },
-            foot_m: [foot.station_m, foot.offset_m],
+            foot_m: [projection.station_m, projection.offset_m],
             actors: instant.actors.iter().map(actor).collect(),
             movers: driven.movers.iter().map(|(track, mover)| (*track, mover.save())).collect(),
             gone: driven.gone.clone(),
@@ -151,14 +151,14 @@ impl SavedState {
         if self.log != recorded.log.name {
             return Err(wrong(format!("log {}", recorded.log.name), self.log.clone()));
         }
-        let wanted = told(options, clock);
+        let wanted = fixed_options(options, clock);
         for key in [&wanted, &self.options].into_iter().filter_map(Value::as_object).flat_map(|o| o.keys()) {
             if self.options.get(key) != wanted.get(key) {
                 let text = |options: &Value| options.get(key).map_or("none".to_owned(), Value::to_string);
                 return Err(wrong(format!("{key} {}", text(&wanted)), text(&self.options)));
             }
         }
-        let damaged = |what: &str| wrong(format!("sound {what}"), "damaged ones".to_owned());
+        let damaged = |what: &str| wrong(format!("valid {what}"), "damaged ones".to_owned());
         let instant = self.instant(clock, recorded).ok_or_else(|| damaged("places of ego and actors"))?;
         let driven = self.driven(recorded, &instant).ok_or_else(|| damaged("actors that were taken over"))?;
         if self.plan.as_ref().is_some_and(|plan| !plan.is_valid()) {
@@ -168,8 +168,8 @@ impl SavedState {
         if !(station_m.is_finite() && offset_m.is_finite()) {
             return Err(damaged("places on the recorded path"));
         }
-        let foot = Foot { station_m, offset_m };
-        let world = Committed::new(World { instant, driven, foot });
+        let projection = LineProjection { station_m, offset_m };
+        let world = Committed::new(World { instant, driven, projection });
         Ok(Saved { world, plan: self.plan.clone().map(Forecast::new), tally: self.tally.clone() })
     }
 
@@ -210,15 +210,15 @@ impl SavedState {
 }
 
 /// Returns the options that must match for a rollout to resume.
-fn told(options: &SimOptions, clock: &Clock) -> Value {
-    let mut told = serde_json::to_value(options).unwrap_or_default();
-    if let Some(told) = told.as_object_mut() {
-        told.remove("steps");
-        told.insert("start_us".to_owned(), clock.start_us.into());
-        told.insert("sim_hz".to_owned(), clock.rates.sim_hz.into());
-        told.insert("plan_hz".to_owned(), clock.rates.plan_hz.into());
+fn fixed_options(options: &SimOptions, clock: &Clock) -> Value {
+    let mut fixed_options = serde_json::to_value(options).unwrap_or_default();
+    if let Some(fixed_options) = fixed_options.as_object_mut() {
+        fixed_options.remove("steps");
+        fixed_options.insert("start_us".to_owned(), clock.start_us.into());
+        fixed_options.insert("sim_hz".to_owned(), clock.rates.sim_hz.into());
+        fixed_options.insert("plan_hz".to_owned(), clock.rates.plan_hz.into());
     }
-    told
+    fixed_options
 }
 
 fn write_pose(pose: &Pose) -> SavedPose {

@@ -95,8 +95,8 @@ impl<'a> Simulation<'a> {
         let start = match saved {
             Some(saved) => saved.open(&options, &clock, &recorded)?,
             None => {
-                let foot = recorded.logged_foot(&first.ego, clock.start_us);
-                let world = World { instant: first, driven: ControlledActors::default(), foot };
+                let projection = recorded.logged_projection(&first.ego, clock.start_us);
+                let world = World { instant: first, driven: ControlledActors::default(), projection };
                 let mut tally = MetricsAccumulator::default();
                 if clock.takeover == 0 {
                     tally.add(&recorded, road.as_ref(), &world);
@@ -179,7 +179,7 @@ impl<'a> Simulation<'a> {
     /// Returns the direction of the recorded path within 20 m ahead of the ego
     /// (`docs/src/reference/planner.md`): `left`, `straight`, `right`, or `unknown` past its end.
     pub fn driving_command(&self) -> &'static str {
-        self.recorded.route.command(self.committed.world.get().foot)
+        self.recorded.route.command(self.committed.world.get().projection)
     }
 
     /// Returns whether the next step requires a plan of the caller ([`EgoPolicy::Caller`]).
@@ -228,7 +228,7 @@ impl<'a> Simulation<'a> {
         }
         let step = now.instant.step + 1;
         let instant = self.recorded.instant(step, self.clock.at(step))?;
-        Some(World { instant, driven: now.driven.clone(), foot: now.foot })
+        Some(World { instant, driven: now.driven.clone(), projection: now.projection })
     }
 
     /// Computes the state after another; `None` if the ego follows the log and the log has ended.
@@ -236,23 +236,23 @@ impl<'a> Simulation<'a> {
         let step = now.instant.step + 1;
         let t_us = self.clock.at(step);
         let by_log = step <= self.clock.takeover;
-        let (ego, foot) = match plan {
+        let (ego, projection) = match plan {
             Some(plan) if !by_log => {
                 let place_m = now.instant.ego.position_m();
-                let stretch = self.recorded.route.around(now.foot.station_m, place_m);
+                let stretch = self.recorded.route.around(now.projection.station_m, place_m);
                 let ego = follow(self.options.tracking, stretch, &now.instant, plan, t_us);
-                (ego, stretch.foot(ego.position_m()))
+                (ego, stretch.project(ego.position_m()))
             }
             _ => {
                 let ego = self.recorded.ego_at(t_us)?;
-                (ego, self.recorded.logged_foot(&ego, t_us))
+                (ego, self.recorded.logged_projection(&ego, t_us))
             }
         };
         let policy = if by_log { ActorPolicy::Replay } else { self.options.actors };
         let mut driven = now.driven.clone();
         let actors = actors::advance(policy, &self.recorded, &mut driven, &now.instant, (t_us, &ego));
         let lights = self.recorded.lights_at(t_us);
-        Some(World { instant: Instant { step, t_us, ego, actors, lights }, driven, foot })
+        Some(World { instant: Instant { step, t_us, ego, actors, lights }, driven, projection })
     }
 
     /// Returns whether the rollout is over.
@@ -310,7 +310,7 @@ impl<'a> Simulation<'a> {
     ///
     /// # Errors
     /// Returns any error of [`Simulation::resume`] about a state.
-    pub fn recall(&mut self, earlier: Vec<(SavedState, Vec<PathBuf>)>) -> Result<(), SimError> {
+    pub fn restore_history(&mut self, earlier: Vec<(SavedState, Vec<PathBuf>)>) -> Result<(), SimError> {
         let now_us = self.committed.world.get().instant.t_us;
         let mut history = History::before_start(&self.recorded, &self.clock, now_us);
         for (saved, files) in earlier {

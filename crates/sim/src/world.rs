@@ -1,6 +1,6 @@
 //! Committed state between two steps: the instant, actors under a policy, and the ego on the recorded path.
 
-use point_skeleton::geometry::Foot;
+use point_skeleton::geometry::LineProjection;
 
 use super::Instant;
 use super::actors::ControlledActors;
@@ -11,5 +11,5 @@ pub(super) struct World {
     pub(super) instant: Instant,
     pub(super) driven: ControlledActors,
     /// Projection of the ego onto the recorded path.
-    pub(super) foot: Foot,
+    pub(super) projection: LineProjection,
 }

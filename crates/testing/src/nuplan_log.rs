@@ -30,15 +30,15 @@ pub const DISTORTION: [f64; 5] = [-0.3, 0.1, -0.002, 0.0005, -0.05];
 const SIZE: [u32; 2] = [96, 64];
 
 /// A data set in its own folder.
-pub struct Made(tempfile::TempDir);
+pub struct NuplanLog(tempfile::TempDir);
 
-impl Default for Made {
+impl Default for NuplanLog {
     fn default() -> Self {
         Self::new()
     }
 }
 
-impl Made {
+impl NuplanLog {
     pub fn new() -> Self {
         let made = Self(tempfile::tempdir().unwrap());
         for folder in ["nuplan-v1.1/splits/mini", &format!("maps/{MAP}/1.0")] {

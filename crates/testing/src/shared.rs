@@ -48,11 +48,11 @@ pub struct WithLog<'a> {
 impl<'a> WithLog<'a> {
     /// Keeps only the sweeps of some frames and drops all images, so that all points are retained, in gray.
     /// Boxes stay, because they define the moving objects.
-    pub fn grey(drive: &'a dyn LogReader, kept: &[usize]) -> Self {
+    pub fn grey(drive: &'a dyn LogReader, retained: &[usize]) -> Self {
         let mut log = drive.recording().clone();
         for (index, frame) in log.frames.iter_mut().enumerate() {
             frame.images.clear();
-            if !kept.contains(&index) {
+            if !retained.contains(&index) {
                 frame.sweeps.clear();
             }
         }
@@ -75,7 +75,7 @@ impl LogReader for WithLog<'_> {
 }
 
 /// Fails unless the message of a peer's error is short, contains `part` and ends with the peer's address.
-pub fn assert_tells(error: &impl std::fmt::Display, part: &str, address: &impl std::fmt::Display) {
+pub fn assert_error_contains(error: &impl std::fmt::Display, part: &str, address: &impl std::fmt::Display) {
     let message = error.to_string();
     assert!(message.contains(part) && message.ends_with(&address.to_string()), "{message}\nexpected {part}");
     assert!(message.len() < 600, "{message}");

@@ -33,10 +33,10 @@ fn template(kind: TemplateKind) -> Option<TemplateCloud> {
     let spacing_m = denser * TemplateOptions::default().spacing_m(size_m);
     let surface = surface(&mesh, spacing_m);
     let position = |p: &SurfacePoint| (p.position_m - center).as_vec3().to_array();
-    let kept = poisson_thin(surface.iter().map(position), spacing_m);
+    let retained = poisson_thin(surface.iter().map(position), spacing_m);
     let class = kind.class();
     let point = |i: usize| Point::new(position(&surface[i]), surface[i].rgb, class as u8);
-    let points: Vec<Point> = kept.into_iter().map(point).collect();
+    let points: Vec<Point> = retained.into_iter().map(point).collect();
     let bounds = Bounds::of(&points)?;
     let (size, xxh3) = (size_m.to_array(), Checksum::of(&points));
     Some((Template { kind, class, size, points: points.len(), bounds, xxh3 }, points))

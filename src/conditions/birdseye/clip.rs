@@ -18,19 +18,19 @@ pub(super) fn clipped(ring: &[DVec2], side: f64) -> Vec<DVec2> {
         [0, 1].into_iter().flat_map(|a| [(a, -MARGIN_PX, 1.0), (a, side + MARGIN_PX, -1.0)])
     {
         let room = |p: DVec2| (p[axis] - border) * sign;
-        let mut kept = Vec::with_capacity(ring.len() + 2);
+        let mut retained = Vec::with_capacity(ring.len() + 2);
         for (i, &to) in ring.iter().enumerate() {
             let from = ring[(i + ring.len() - 1) % ring.len()];
             if (room(from) < 0.0) != (room(to) < 0.0) {
                 let mut cut = from + (to - from) * (room(from) / (room(from) - room(to)));
                 cut[axis] = border;
-                kept.push(cut);
+                retained.push(cut);
             }
             if room(to) >= 0.0 {
-                kept.push(to);
+                retained.push(to);
             }
         }
-        ring = kept;
+        ring = retained;
     }
     ring
 }
@@ -40,10 +40,11 @@ pub(super) fn clipped_line([from, to]: [DVec2; 2], side: f64) -> Option<[DVec2; 
     if ![from, to].iter().all(|end| end.abs().max_element() < FARTHEST_PX) {
         return None;
     }
-    let way = to - from;
+    let delta = to - from;
     let (mut enters, mut leaves) = (0.0_f64, 1.0_f64);
     for axis in [0, 1] {
-        for (step, room) in [(-way[axis], from[axis] + MARGIN_PX), (way[axis], side + MARGIN_PX - from[axis])]
+        for (step, room) in
+            [(-delta[axis], from[axis] + MARGIN_PX), (delta[axis], side + MARGIN_PX - from[axis])]
         {
             if step < 0.0 {
                 enters = enters.max(room / step);
@@ -54,7 +55,7 @@ pub(super) fn clipped_line([from, to]: [DVec2; 2], side: f64) -> Option<[DVec2; 
             }
         }
     }
-    (enters < leaves).then(|| [from + way * enters, from + way * leaves])
+    (enters < leaves).then(|| [from + delta * enters, from + delta * leaves])
 }
 
 #[cfg(test)]

@@ -18,7 +18,7 @@ pub(crate) struct Layouts {
 
 /// Content of a layout.
 #[derive(Clone, Copy)]
-enum Shown<'a> {
+enum LayoutContent<'a> {
     Boxes(&'a [ActorState]),
     Map(&'a SceneMap),
 }
@@ -32,24 +32,24 @@ pub(crate) fn draw(
     options: &ConditionOptions,
 ) -> Layouts {
     let filters = filters(views, options);
-    let shown = [actors.map(Shown::Boxes), map.map(Shown::Map)];
+    let shown = [actors.map(LayoutContent::Boxes), map.map(LayoutContent::Map)];
     let scale = |(place, view): (usize, &View)| {
         let given = options.line_scales.as_ref().and_then(|scales| scales.get(place).copied());
         given.unwrap_or_else(|| options.line_scale(view))
     };
     let scales: Vec<f32> = views.iter().enumerate().map(scale).collect();
-    let tasks: Vec<(Shown<'_>, &View, f32)> = (shown.iter().flatten())
+    let tasks: Vec<(LayoutContent<'_>, &View, f32)> = (shown.iter().flatten())
         .flat_map(|shown| views.iter().zip(&scales).map(|(view, scale)| (*shown, view, *scale)))
         .collect();
-    let layout = |(shown, view, scale): &(Shown<'_>, &View, f32)| {
+    let layout = |(shown, view, scale): &(LayoutContent<'_>, &View, f32)| {
         let (drawn, to) = (options.drawn_view(view), options.written_size(view));
         let size = ImageSize::of(&drawn.camera);
         let width_px = options.layout.width_px(*scale);
         let segments = match shown {
-            Shown::Boxes(actors) => {
+            LayoutContent::Boxes(actors) => {
                 box_segments(actors, &drawn).into_iter().map(|segment| (segment, 1.0)).collect()
             }
-            Shown::Map(map) => map_segments(map, options.layout.map_layers, &drawn),
+            LayoutContent::Map(map) => map_segments(map, options.layout.map_layers, &drawn),
         };
         let widths = segments.iter().map(|(segment, relative)| (segment, relative * width_px));
         image(LineRows::of_widths(widths, size), [size, to], &filters)

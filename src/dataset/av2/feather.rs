@@ -32,9 +32,9 @@ const PREFIX_BYTES: usize = 8;
 
 /// Maximum declared bytes of all columns per byte of the file: LZ4 and zstd shrink numbers by a small factor
 /// only.
-const MOST_PER_BYTE: u64 = 64;
+const MAX_EXPANSION: u64 = 64;
 /// Lower bound of this limit, for small files, bytes.
-const MOST_BYTES: u64 = 16 << 20;
+const MIN_LIMIT_BYTES: u64 = 16 << 20;
 
 /// Selected columns of a file.
 pub(super) struct Table {
@@ -156,7 +156,7 @@ impl Layout {
             return Err("columns encoded by dictionaries (write them plain)".to_owned());
         }
         let blocks = footer.recordBatches().into_iter().flatten();
-        let most = MOST_BYTES.max(MOST_PER_BYTE.saturating_mul(bytes.len() as u64));
+        let most = MIN_LIMIT_BYTES.max(MAX_EXPANSION.saturating_mul(bytes.len() as u64));
         let mut left = most;
         let mut check = |block: &Block| {
             let (rows, size) = check_block(block, &schema, &body[..start])?;

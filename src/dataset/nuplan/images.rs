@@ -58,7 +58,7 @@ struct RawImage {
 }
 
 /// Times of the frames to which images belong.
-pub(super) struct Within<'a> {
+pub(super) struct FrameTimes<'a> {
     /// Ascending.
     pub(super) times_us: &'a [i64],
     /// First and last time of the whole log.
@@ -71,11 +71,11 @@ pub(super) struct Within<'a> {
 pub(super) fn read(
     database: &Database,
     place: &LogPaths,
-    within: &Within<'_>,
+    within: &FrameTimes<'_>,
     distortion: ImageDistortion,
     notes: &mut Notes,
 ) -> Result<CameraImages, DatasetError> {
-    let Within { times_us, is_whole, .. } = *within;
+    let FrameTimes { times_us, is_whole, .. } = *within;
     let cameras = cameras(database, distortion, notes)?;
     let mut frames = vec![FrameImages::default(); times_us.len()];
     let (mut images, outside) = images(database, place, &cameras, within, notes)?;
@@ -181,7 +181,7 @@ fn images(
     database: &Database,
     place: &LogPaths,
     cameras: &[RawCamera],
-    within: &Within<'_>,
+    within: &FrameTimes<'_>,
     notes: &mut Notes,
 ) -> Result<(Vec<Vec<RawImage>>, usize), DatasetError> {
     let times_us = within.times_us;

@@ -22,7 +22,7 @@ pub(super) fn read(
     let (shots, span_us) = frames::read(&database, place, wanted, &mut notes)?;
     let times_us: Vec<i64> = shots.iter().map(|shot| shot.t_us).collect();
     note_interval(&times_us, Unit::MICROS, &mut notes);
-    let within = images::Within { times_us: &times_us, span_us, is_whole: scene.is_none() };
+    let within = images::FrameTimes { times_us: &times_us, span_us, is_whole: scene.is_none() };
     let pictures = images::read(&database, place, &within, reading.distortion, &mut notes)?;
     let annotated = annotations::read(&database, &shots, &mut notes)?;
     let (scenarios, lights) = situation::read(&database, &shots, &mut notes)?;

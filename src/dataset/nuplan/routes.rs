@@ -40,7 +40,7 @@ fn scenes(database: &Database, notes: &mut Notes) -> Result<FxHashMap<Vec<u8>, S
         let roadblocks = if row.is_null(1) { "" } else { row.text(1)? };
         let has_goal = row.reference(2)?.is_some_and(|token| !token.is_empty());
         let goal = ego_pose(row, 2, database)?;
-        note(notes, "goals of routes that are not there", usize::from(has_goal && goal.is_none()));
+        note(notes, "missing goals of routes", usize::from(has_goal && goal.is_none()));
         let roadblocks = roadblocks.split_whitespace().map(str::to_owned).collect();
         scenes.insert(row.blob(0)?.to_owned(), (roadblocks, goal));
         Ok(())

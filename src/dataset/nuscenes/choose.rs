@@ -14,10 +14,10 @@ const MARK: &str = "scene.json";
 const USUAL: &str = "v1.0-";
 
 /// Maximum number of folders that an error lists.
-const MOST_LISTED: usize = 20;
+const MAX_LISTED: usize = 20;
 
 /// Maximum number of entries per folder among which an error looks for them.
-const MOST_LOOKED_AT: usize = 1000;
+const MAX_ENTRIES: usize = 1000;
 
 /// Returns the folder of the tables: `root/version`, or the only folder in `root` with tables, whatever its
 /// name.
@@ -47,7 +47,7 @@ pub(super) fn version_folder(root: &Path, version: Option<&str>) -> Result<PathB
 
 /// Returns whether a folder contains folders of tables.
 pub(super) fn has_tables(root: &Path) -> bool {
-    let folders = folders_in(root, MOST_LOOKED_AT).unwrap_or_default();
+    let folders = folders_in(root, MAX_ENTRIES).unwrap_or_default();
     folders.iter().any(|name| is_taken(&root.join(name).join(MARK)))
 }
 
@@ -71,17 +71,17 @@ fn nearby(root: &Path, version: Option<&str>) -> String {
     }
     let below = |name: &String| {
         let folder = root.join(name);
-        let inner = folders_in(&folder, MOST_LOOKED_AT).unwrap_or_default().into_iter();
+        let inner = folders_in(&folder, MAX_ENTRIES).unwrap_or_default().into_iter();
         let tables = inner.filter(move |inner| is_taken(&folder.join(inner).join(MARK)));
         tables.map(|inner| format!("{name}/{inner}")).collect::<Vec<_>>()
     };
-    let found = folders_in(root, MOST_LOOKED_AT).unwrap_or_default();
-    let mut found: Vec<String> = found.iter().flat_map(below).take(MOST_LISTED + 1).collect();
+    let found = folders_in(root, MAX_ENTRIES).unwrap_or_default();
+    let mut found: Vec<String> = found.iter().flat_map(below).take(MAX_LISTED + 1).collect();
     if found.is_empty() {
         return version.unwrap_or("none").to_owned();
     }
-    if found.len() > MOST_LISTED {
-        found[MOST_LISTED] = "..".to_owned();
+    if found.len() > MAX_LISTED {
+        found[MAX_LISTED] = "..".to_owned();
     }
     format!("tables one folder further down, in {}", found.join(", "))
 }

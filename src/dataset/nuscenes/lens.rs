@@ -25,7 +25,7 @@ pub(super) struct Lens {
 
 /// Coefficients that are not all zero, and the name of their field.
 #[derive(Clone, Debug, PartialEq)]
-struct Given<'a> {
+struct LensCoefficients<'a> {
     key: &'a str,
     value: Value,
 }
@@ -77,9 +77,11 @@ pub(super) fn lens(
     path: &Path,
 ) -> Result<Lens, FileError> {
     let mut all = [given(&calibrated.others), given(&sensor.others)].concat();
-    let five = |given: &Given<'_>| numbers(&given.value).as_deref().and_then(Distortion::first_five);
+    let five =
+        |given: &LensCoefficients<'_>| numbers(&given.value).as_deref().and_then(Distortion::first_five);
     all.dedup_by(|b, a| a.value == b.value || (five(a).is_some() && five(a) == five(b)));
-    let Some(Given { key, value }) = all.first().filter(|_| option != ImageDistortion::Ignore) else {
+    let Some(LensCoefficients { key, value }) = all.first().filter(|_| option != ImageDistortion::Ignore)
+    else {
         return Ok(Lens::default());
     };
     if option == ImageDistortion::Usual {
@@ -124,11 +126,11 @@ pub(super) fn unread(calibrated: &CalibratedSensor, sensor: &Sensor, option: Ima
 }
 
 /// Returns the coefficients of a record under any of their names, unless they are zero.
-fn given(record: &Map<String, Value>) -> Vec<Given<'_>> {
+fn given(record: &Map<String, Value>) -> Vec<LensCoefficients<'_>> {
     let named = record.iter().filter(|(key, _)| is_named(key));
     let named = named.map(|(key, value)| {
         let inner = value.as_object().and_then(single);
-        Given { key, value: inner.map_or_else(|| value.clone(), |inner| inner.value) }
+        LensCoefficients { key, value: inner.map_or_else(|| value.clone(), |inner| inner.value) }
     });
     named.chain(single(record)).filter(|given| !is_nothing(&given.value)).collect()
 }
@@ -154,11 +156,11 @@ fn is_opencv(model: &Value) -> bool {
 }
 
 /// Collects single coefficients in OpenCV's order; `None` if there are none.
-fn single(record: &Map<String, Value>) -> Option<Given<'_>> {
+fn single(record: &Map<String, Value>) -> Option<LensCoefficients<'_>> {
     let field = |name: &str| record.iter().find(|(key, _)| plain(key) == name);
     let key = SINGLE.iter().find_map(|name| field(name))?.0;
     let value = SINGLE.map(|name| field(name).map_or(Value::from(0), |(_, value)| value.clone()));
-    Some(Given { key, value: Value::from(value.to_vec()) })
+    Some(LensCoefficients { key, value: Value::from(value.to_vec()) })
 }
 
 /// Returns the name of a field without `camera`, in lower case and without other signs than letters and
@@ -258,18 +260,18 @@ mod tests {
 
     #[test]
     fn unknown_fields_are_noted() {
-        let told = |fields: Value| {
+        let reported = |fields: Value| {
             let sensor = serde_json::from_value(json!({"token": "s", "channel": "C", "modality": "camera"}));
             unread(&calibrated(&fields), &sensor.unwrap(), ImageDistortion::Usual)
         };
-        let one = told(json!({"undistortion_map": "a.bin"}));
+        let one = reported(json!({"undistortion_map": "a.bin"}));
         assert_eq!(one, ["cameras with undistortion_map, which is not read (lens distortion?)"]);
         for fields in [
             json!({}),
             json!({"distance_m": 4, "camera_distortion_model": "plumb_bob"}),
             json!({"distorted": false, "dist_x": [], "k1": 0, "D": null}),
         ] {
-            assert_eq!(told(fields.clone()), [""; 0], "{fields}");
+            assert_eq!(reported(fields.clone()), [""; 0], "{fields}");
         }
     }
 

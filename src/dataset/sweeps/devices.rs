@@ -27,7 +27,7 @@ pub(super) enum Evidence {
 }
 
 /// More numbers than this, or greater ring numbers, are beams: recorded vehicles merge up to five LiDARs.
-pub(super) const MOST_DEVICES: u16 = 8;
+pub(super) const MAX_DEVICES: u16 = 8;
 /// Points that a number needs to count.
 const MIN_POINTS: u32 = 200;
 /// Cells of directions: a degree of azimuth and two of elevation: cells where sparse beams still meet.
@@ -68,7 +68,7 @@ pub(super) fn evidence(points: &[SweepPoint], number: impl Fn(usize) -> u16) -> 
     let mut patterns: BTreeMap<u16, Pattern> = BTreeMap::new();
     for (i, point) in points.iter().enumerate() {
         patterns.entry(number(i)).or_insert_with(Pattern::new).add(point.position);
-        if patterns.len() > usize::from(MOST_DEVICES) {
+        if patterns.len() > usize::from(MAX_DEVICES) {
             return Evidence::Beams;
         }
     }

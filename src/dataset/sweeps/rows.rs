@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use super::devices::{Evidence, MOST_DEVICES, evidence};
+use super::devices::{Evidence, MAX_DEVICES, evidence};
 use crate::dataset::recording::notes::count;
 use crate::dataset::{RingMeaning, Sweep, SweepPoint};
 use crate::error::FileError;
@@ -159,7 +159,7 @@ fn whole(value: f64) -> Option<u16> {
 /// Returns whether there are several ring numbers, all small.
 fn may_be_devices(points: &[SweepPoint]) -> bool {
     let Some(first) = points.first().map(|point| point.ring) else { return false };
-    points.iter().all(|point| point.ring < MOST_DEVICES) && points.iter().any(|point| point.ring != first)
+    points.iter().all(|point| point.ring < MAX_DEVICES) && points.iter().any(|point| point.ring != first)
 }
 
 #[cfg(test)]
@@ -217,7 +217,7 @@ mod tests {
     /// LiDARs of few beams are not told from merged LiDARs by their numbers, up to the most that are merged.
     #[test]
     fn few_beams_are_noted() {
-        for beams in 2..=MOST_DEVICES + 1 {
+        for beams in 2..=MAX_DEVICES + 1 {
             let mut rows = SweepRows::default();
             for i in 0..beams * 400 {
                 let (beam, turn) =
@@ -228,7 +228,7 @@ mod tests {
             let sweep = finished(rows, RingMeaning::Auto);
             let rings = sweep.points.iter().enumerate().all(|(i, p)| p.ring == i as u16 % beams);
             let notes: Vec<&str> = sweep.notes.keys().map(String::as_str).collect();
-            let expected = if beams <= MOST_DEVICES { vec![FEW_RINGS] } else { Vec::new() };
+            let expected = if beams <= MAX_DEVICES { vec![FEW_RINGS] } else { Vec::new() };
             assert_eq!((sweep.devices, rings, notes), (false, true, expected), "{beams}");
         }
     }

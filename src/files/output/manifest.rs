@@ -139,7 +139,7 @@ impl Manifest {
     /// Checks that all files at or below `name` in `folder` are in the list, and that no folder on the way is
     /// a link, which would lead out of the folder.
     pub(in super::super) fn check(&self, folder: &Path, name: &Path) -> Result<(), FileError> {
-        check_way(folder, name)?;
+        check_no_linked_folder(folder, name)?;
         let is_folder = |path: &Path| folder.join(path).symlink_metadata().is_ok_and(|data| data.is_dir());
         let mut foreign = None;
         visit(folder, name, &mut |path| {
@@ -174,7 +174,7 @@ pub fn is_below(path: &Path) -> bool {
 ///
 /// # Errors
 /// Returns an error that names the link.
-pub(in super::super) fn check_way(folder: &Path, name: &Path) -> Result<(), FileError> {
+pub(in super::super) fn check_no_linked_folder(folder: &Path, name: &Path) -> Result<(), FileError> {
     let inner = name.ancestors().skip(1).filter(|inner| *inner != Path::new(""));
     match inner.map(|inner| folder.join(inner)).find(|inner| inner.is_symlink()) {
         Some(link) => Err(refusal(&link)),

@@ -28,7 +28,7 @@ pub(super) mod work;
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
-use self::manifest::{Manifest, check_way, files_below, refusal};
+use self::manifest::{Manifest, check_no_linked_folder, files_below, refusal};
 use self::pending::{finish_undisturbed, remove};
 use super::Inputs;
 
@@ -200,7 +200,7 @@ impl OutputFolder {
 /// # Errors
 /// Fails if it, or a folder on the way to it, is a link.
 pub fn own_folder(folder: &Path, name: impl AsRef<Path>) -> Result<PathBuf, FileError> {
-    check_way(folder, &name.as_ref().join("file"))?;
+    check_no_linked_folder(folder, &name.as_ref().join("file"))?;
     Ok(folder.join(name))
 }
 

@@ -12,7 +12,7 @@ use std::fs::File;
 use std::io::{BufReader, Read, Write};
 use std::path::{Path, PathBuf};
 
-use super::manifest::{check_way, is_below, refusal};
+use super::manifest::{check_no_linked_folder, is_below, refusal};
 use super::pending::{finish_undisturbed, remove};
 use super::place::move_entry;
 use super::work::WorkFolder;
@@ -63,7 +63,7 @@ impl SharedFolder {
     ) -> Result<Self, FileError> {
         let place = Path::new(Self::WORK).join(name);
         for path in [&place, record] {
-            check_way(out, path)?;
+            check_no_linked_folder(out, path)?;
         }
         let work = WorkFolder::open(out.join(place), &out.join(record))?;
         let owned = owned()?;
@@ -83,7 +83,7 @@ impl SharedFolder {
     /// Fails if a folder has its name, or a link that the earlier record does not list, or if a link on the
     /// way leads out of the folder.
     pub fn check(&self, name: &Path) -> Result<(), FileError> {
-        check_way(&self.out, name)?;
+        check_no_linked_folder(&self.out, name)?;
         let path = self.out.join(name);
         match path.symlink_metadata() {
             Ok(about) if about.is_file() || !about.is_dir() && self.owned.contains(name) => Ok(()),
@@ -165,7 +165,7 @@ impl SharedFolder {
     /// Removes files of the unit, and folders that are then empty.
     fn remove_files(&self, files: &BTreeSet<PathBuf>) -> Result<(), FileError> {
         for name in files {
-            check_way(&self.out, name)?;
+            check_no_linked_folder(&self.out, name)?;
             let path = self.out.join(name);
             if path.symlink_metadata().is_ok_and(|about| about.is_dir()) {
                 continue; // foreign

@@ -67,14 +67,14 @@ impl WorkFolder {
     }
 
     /// Returns whether the folder is retained on drop.
-    pub(crate) fn is_kept(&self) -> bool {
+    pub(crate) fn is_retained(&self) -> bool {
         self.pending.is_none()
     }
 
     /// Sets whether the folder is retained on drop and when a signal ends the process.
-    pub(crate) fn keep(&mut self, is_kept: bool) {
-        if is_kept != self.is_kept() {
-            self.pending = (!is_kept).then(|| PendingPath::new(&self.path));
+    pub(crate) fn keep(&mut self, is_retained: bool) {
+        if is_retained != self.is_retained() {
+            self.pending = (!is_retained).then(|| PendingPath::new(&self.path));
         }
     }
 
@@ -97,7 +97,7 @@ impl WorkFolder {
 
 impl Drop for WorkFolder {
     fn drop(&mut self) {
-        if self.is_kept() {
+        if self.is_retained() {
             return;
         }
         // After a failure here, the next owner clears the folder, which it knows by its lock.
@@ -158,9 +158,7 @@ mod tests {
         let path = folder.path().join("work");
         let open = || WorkFolder::open(path.clone(), Path::new("out"));
         let work = open().unwrap();
-        assert!(
-            open().unwrap_err().to_string().starts_with("expected no other process at work on this output")
-        );
+        assert!(open().unwrap_err().to_string().starts_with("output is locked by"));
         std::fs::create_dir(path.join("new")).unwrap();
         drop(work);
         assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);

@@ -56,7 +56,7 @@ impl RenderPass {
     /// # Errors
     /// Fails if memory is exhausted.
     pub fn new(device: &Arc<Device>, desc: &RenderPassDesc<'_>) -> Result<Self, GpuError> {
-        let kept = desc.depth.is_some_and(|depth| depth.test == DepthTest::Equal);
+        let retained = desc.depth.is_some_and(|depth| depth.test == DepthTest::Equal);
         let attachment = |format: vk::Format, layout| {
             vk::AttachmentDescription::default()
                 .format(format)
@@ -70,7 +70,11 @@ impl RenderPass {
         let depth_attachment = |depth: Depth| {
             let layout = read_layout(depth.format);
             let cleared = attachment(depth.format, layout);
-            if kept { cleared.load_op(vk::AttachmentLoadOp::LOAD).initial_layout(layout) } else { cleared }
+            if retained {
+                cleared.load_op(vk::AttachmentLoadOp::LOAD).initial_layout(layout)
+            } else {
+                cleared
+            }
         };
         let mut attachments: Vec<_> =
             desc.colors.iter().map(|format| attachment(*format, desc.color_read)).collect();
@@ -81,7 +85,7 @@ impl RenderPass {
         let depth = vk::AttachmentReference {
             attachment: desc.colors.len() as u32,
             layout: match desc.depth {
-                Some(depth) if kept => read_layout(depth.format),
+                Some(depth) if retained => read_layout(depth.format),
                 _ => vk::ImageLayout::DEPTH_STENCIL_ATTACHMENT_OPTIMAL,
             },
         };

@@ -52,7 +52,7 @@ use self::record::{PlacedItem, Resolve, runs_of};
 use self::resolve::ResolveStage;
 use self::results::{OwnedMaps, empty, read_maps, read_parts};
 use self::shared::{KEY_IMAGE_ROW_BYTES, KEY_STEP_BYTES, KeyCapacity, Shared};
-use self::slot::{Needs, Slot};
+use self::slot::{Slot, SlotCapacities};
 use self::spread::SpreadStage;
 use self::store::{ROW_BYTES, Residency, STREAMED_ROWS, Store, StoreLimits};
 use super::chunk::ChunkedCloud;
@@ -91,7 +91,7 @@ pub struct ComputeRasterizer<'a> {
     /// Frames in flight, used in rotation; the last slot is reserved for synchronous work.
     slots: Vec<PendingSubmit<Shared, Slot>>,
     turn: usize,
-    begun: VecDeque<FrameState>,
+    in_flight: VecDeque<FrameState>,
     limits: PartLimits,
     copies: bool,
     threads: usize,
@@ -107,7 +107,7 @@ enum FrameState {
 }
 
 /// Slot for synchronous work.
-const AT_ONCE: usize = FRAMES_IN_FLIGHT;
+const SYNC_SLOT: usize = FRAMES_IN_FLIGHT;
 
 impl<'a> ComputeRasterizer<'a> {
     /// Returns whether the device supports 64-bit integers and atomics in compute shaders.
@@ -167,9 +167,12 @@ impl<'a> ComputeRasterizer<'a> {
         let room = KeyCapacity { layers: 1, ..KeyCapacity::default() };
         let shared = Arc::new(bare.with_keys(&device, &mut commands, room, desc.copies)?);
         let slot = |commands: &mut Commands| -> Result<_, GpuError> {
-            PendingSubmit::new(&device, Slot::new(&device, commands, &shared, Needs::default(), copies)?)
+            PendingSubmit::new(
+                &device,
+                Slot::new(&device, commands, &shared, SlotCapacities::default(), copies)?,
+            )
         };
-        let slots = (0..=AT_ONCE).map(|_| slot(&mut commands)).collect::<Result<Vec<_>, _>>()?;
+        let slots = (0..=SYNC_SLOT).map(|_| slot(&mut commands)).collect::<Result<Vec<_>, _>>()?;
         let limits = part_limits(&device, desc);
         let threads =
             if device.is_cpu() { std::thread::available_parallelism().map_or(1, usize::from) } else { 1 };
@@ -182,7 +185,7 @@ impl<'a> ComputeRasterizer<'a> {
             shared,
             slots,
             turn: 0,
-            begun: VecDeque::new(),
+            in_flight: VecDeque::new(),
             limits,
             copies,
             threads,
@@ -212,9 +215,9 @@ impl<'a> ComputeRasterizer<'a> {
         }
         let mut maps: Vec<OwnedMaps> = sizes.iter().map(|size| OwnedMaps::new(*size, job.maps)).collect();
         for part in &cut.parts {
-            let results = self.draw_part(&work, part, AT_ONCE)?;
-            self.wait(AT_ONCE)?;
-            read_parts(self.slots[AT_ONCE].own(), &results, job.maps, &mut maps)?;
+            let results = self.draw_part(&work, part, SYNC_SLOT)?;
+            self.wait(SYNC_SLOT)?;
+            read_parts(self.slots[SYNC_SLOT].own(), &results, job.maps, &mut maps)?;
         }
         Ok(FrameState::Done(maps.into_iter().map(OwnedMaps::done).collect()))
     }
@@ -333,7 +336,7 @@ impl<'a> ComputeRasterizer<'a> {
             self.shared = Arc::new(shared);
         }
         let wanted = Slot::wanted(work.job.maps);
-        let needs = Needs {
+        let needs = SlotCapacities {
             draws: plan.draws.len(),
             bands: plan.project_bands.len(),
             items,
@@ -359,8 +362,8 @@ impl<'a> ComputeRasterizer<'a> {
     }
 
     /// Waits for a begun frame and returns its maps.
-    fn maps_of(&mut self, begun: FrameState) -> Result<FrameMaps<'_>, RasterError> {
-        match begun {
+    fn maps_of(&mut self, state: FrameState) -> Result<FrameMaps<'_>, RasterError> {
+        match state {
             FrameState::Done(maps) => Ok(maps),
             FrameState::InFlight { slot, results, sizes, wanted } => {
                 self.wait(slot)?;
@@ -384,19 +387,19 @@ impl Rasterizer for ComputeRasterizer<'_> {
     }
 
     fn begin(&mut self, job: &FrameJob<'_>) -> Result<(), RasterError> {
-        if self.begun.len() == FRAMES_IN_FLIGHT {
+        if self.in_flight.len() == FRAMES_IN_FLIGHT {
             return Err(RasterError::TooManyFrames { max: FRAMES_IN_FLIGHT });
         }
         let slot = self.turn;
-        let begun = self.begin_job(job, slot)?;
+        let state = self.begin_job(job, slot)?;
         self.turn = (slot + 1) % FRAMES_IN_FLIGHT;
-        self.begun.push_back(begun);
+        self.in_flight.push_back(state);
         Ok(())
     }
 
     fn finish(&mut self) -> Result<FrameMaps<'_>, RasterError> {
-        let begun = self.begun.pop_front().ok_or(RasterError::NoFrame)?;
-        self.maps_of(begun)
+        let state = self.in_flight.pop_front().ok_or(RasterError::NoFrame)?;
+        self.maps_of(state)
     }
 
     fn splat(&mut self, job: &SplatJob<'_>) -> Result<SplatMaps, RasterError> {
@@ -411,10 +414,10 @@ impl Rasterizer for ComputeRasterizer<'_> {
             maps: job.maps | packed,
             out_size: None,
         };
-        let begun = self.begin_job(&frame, AT_ONCE)?;
+        let state = self.begin_job(&frame, SYNC_SLOT)?;
         let (width, height) = (job.view.camera.width, job.view.camera.height);
         let mut maps = SplatMaps { width, height, ..SplatMaps::default() };
-        for view in self.maps_of(begun)? {
+        for view in self.maps_of(state)? {
             maps.point = view.point.into_owned();
             maps.depth_m = view.depth_m.into_owned();
             maps.rgb_class = view.rgb_class.into_owned();

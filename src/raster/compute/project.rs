@@ -14,7 +14,7 @@ use crate::raster::steps::{Step, steps};
 pub(super) const PAGE_SET: u32 = 1;
 /// Points per workgroup that draws squares: CPU drivers terminate invocations that loop more than 65 535
 /// times, and each square may have up to 63 by 63 pixels.
-const SQUARES_AT_ONCE: u32 = 512;
+const SQUARES_PER_GROUP: u32 = 512;
 /// Workgroups in a row of a dispatch.
 const GROUPS_PER_ROW: u32 = shaders::project_wgsl_pixel::GROUPS_PER_ROW;
 
@@ -51,7 +51,7 @@ pub(super) fn items_of(
     [first, end]: [u32; 2],
     covering: Coverage,
 ) -> impl Iterator<Item = ProjectItem> {
-    let step = if covering == Coverage::Drawn { SQUARES_AT_ONCE } else { (end - first).max(1) };
+    let step = if covering == Coverage::Drawn { SQUARES_PER_GROUP } else { (end - first).max(1) };
     let item = move |first| ProjectItem { draw, row, first, end: end.min(first + step) };
     (first..end).step_by(step as usize).map(item)
 }

@@ -27,7 +27,7 @@ pub(super) const POINT: usize = 3;
 
 /// Required capacities of a slot, in entries.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub(super) struct Needs {
+pub(super) struct SlotCapacities {
     pub(super) draws: usize,
     pub(super) bands: usize,
     pub(super) items: usize,
@@ -39,7 +39,7 @@ pub(super) struct Needs {
     pub(super) streams: bool,
 }
 
-impl Needs {
+impl SlotCapacities {
     fn each(&self) -> [usize; 9] {
         let [a, b, c, d] = self.pixels;
         [self.draws, self.bands, self.items, self.taps, self.blocks, a, b, c, d]
@@ -80,7 +80,7 @@ impl MapBuffer {
 
 /// Buffers and descriptor sets of a slot.
 pub(super) struct Slot {
-    pub(super) needs: Needs,
+    pub(super) needs: SlotCapacities,
     /// Generation of the shared buffers that its descriptor sets bind.
     pub(super) generation: u64,
     frame: Arc<Buffer>,
@@ -110,7 +110,7 @@ impl Slot {
         device: &Arc<Device>,
         commands: &mut Commands,
         shared: &Shared,
-        needs: Needs,
+        needs: SlotCapacities,
         copies: bool,
     ) -> Result<Self, GpuError> {
         let frame = upload(device, "frame", size_of::<ProjectFrame>(), Usage::UNIFORM_BUFFER)?;

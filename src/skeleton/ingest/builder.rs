@@ -8,7 +8,7 @@ use super::stream::{FrameCloud, Stream};
 use crate::skeleton::BuildOptions;
 
 /// Number of points in memory that triggers a checkpoint before its regular frame.
-const MOST_POINTS: usize = 1_000_000;
+const MAX_BUFFERED_POINTS: usize = 1_000_000;
 
 /// Build in progress.
 pub(super) struct Builder<'a> {
@@ -49,7 +49,7 @@ impl<'a> Builder<'a> {
             if first >= stream.frames.len() {
                 continue;
             }
-            gathered = stream.run(first, self.run.progress, |cloud| self.take_in(number, &cloud, &mut now));
+            gathered = stream.run(first, self.run.progress, |cloud| self.add_frame(number, &cloud, &mut now));
             if gathered.is_err() {
                 break;
             }
@@ -60,7 +60,7 @@ impl<'a> Builder<'a> {
     }
 
     /// Adds a frame; updates the counts in `now`.
-    fn take_in(&mut self, log: usize, frame: &FrameCloud, now: &mut BuildState) -> Result<(), BuildError> {
+    fn add_frame(&mut self, log: usize, frame: &FrameCloud, now: &mut BuildState) -> Result<(), BuildError> {
         now.frames += 1;
         now.report.images += frame.images;
         for (kind, count) in ["damaged sweep files", "damaged image files"].into_iter().zip(frame.damaged) {
@@ -84,7 +84,7 @@ impl<'a> Builder<'a> {
         }
         self.since += 1;
         self.run.progress.step();
-        if self.since >= self.run.checkpoint_frames || self.cells.points >= MOST_POINTS {
+        if self.since >= self.run.checkpoint_frames || self.cells.points >= MAX_BUFFERED_POINTS {
             return self.checkpoint(now);
         }
         Ok(())

@@ -136,8 +136,8 @@ impl Unfinished {
     }
 
     /// Returns whether there is a checkpoint to resume from.
-    pub(super) fn is_kept(&self) -> bool {
-        self.work.is_kept()
+    pub(super) fn is_retained(&self) -> bool {
+        self.work.is_retained()
     }
 
     /// Writes the points, then the checkpoint. A kill at any moment leaves either the new or the previous
@@ -156,8 +156,8 @@ impl Unfinished {
     /// Deletes runs that are not in the list, and leftovers of a killed process.
     fn sweep_out(&self, runs: &[RunName]) -> Result<(), FileError> {
         let files = |run: &RunName| [run.sums(Path::new("")), run.index(Path::new(""))];
-        let kept: BTreeSet<PathBuf> = runs.iter().flat_map(files).collect();
-        self.work.clear(|name| name == FILE || kept.contains(Path::new(name)))
+        let retained: BTreeSet<PathBuf> = runs.iter().flat_map(files).collect();
+        self.work.clear(|name| name == FILE || retained.contains(Path::new(name)))
     }
 
     /// Removes the folder after the skeleton was written.

@@ -66,7 +66,7 @@ pub enum BuildError {
         found: Vec<String>,
     },
     /// The progress callback requested a stop.
-    #[error("expected to build to the end, found a request to stop")]
+    #[error("build cancelled")]
     Stopped,
     /// The build failed after its first checkpoint and can be resumed.
     #[error("{source}; {frames} frames are done and retained: {}", printable_path(path))]

@@ -66,7 +66,7 @@ pub fn build(
             builder.work.close()?;
             return Err(source);
         }
-        if !builder.work.is_kept() {
+        if !builder.work.is_retained() {
             return Err(source);
         }
         let (frames, path) = (builder.done.frames, builder.work.path().to_owned());

@@ -138,14 +138,14 @@ impl Runs {
         cells: &[Cell],
         mut take: impl FnMut(Cell, Vec<VoxelSum>) -> Result<(), E>,
     ) -> Result<(), E> {
-        const AT_ONCE: usize = 4;
+        const CELLS_PER_BATCH: usize = 4;
         let of = |cell: &Cell| {
             // Merges one run after the other: a cell is in memory at most three times, for any number of
             // runs.
             let add = |sums, run: &Run| Ok::<_, FileError>(merge_two(sums, run.read(*cell)?));
             Ok((*cell, self.0.iter().try_fold(Vec::new(), add)?))
         };
-        for some in cells.chunks(AT_ONCE) {
+        for some in cells.chunks(CELLS_PER_BATCH) {
             let merged: Result<Vec<_>, FileError> = some.par_iter().map(of).collect();
             merged?.into_iter().try_for_each(|(cell, sums)| take(cell, sums))?;
         }

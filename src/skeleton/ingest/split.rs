@@ -114,19 +114,19 @@ impl Splitter {
         Self { boxes, places: RTree::bulk_load(places), unplaced, ground_m: options.ground_m }
     }
 
-    /// Classifies a global point. Among several boxes, the one that it lies deepest in wins. `timely` is
-    /// `true` if the point comes from the LiDAR whose timing matches the boxes of moving actors.
-    pub fn part(&self, global: DVec3, timely: bool) -> Part {
+    /// Classifies a global point. Among several boxes, the one that it lies deepest in wins. `synchronized`
+    /// is `true` if the point comes from the LiDAR whose timing matches the boxes of moving actors.
+    pub fn part(&self, global: DVec3, synchronized: bool) -> Part {
         if !global.is_finite() {
-            return self.part_among(0..self.boxes.len(), global, timely);
+            return self.part_among(0..self.boxes.len(), global, synchronized);
         }
         let placed = self.places.locate_all_at_point(global.to_array()).map(|place| place.data);
-        self.part_among(placed.chain(self.unplaced.iter().copied()), global, timely)
+        self.part_among(placed.chain(self.unplaced.iter().copied()), global, synchronized)
     }
 
     /// Classifies a point using the boxes with some indices, in any order. Of equally deep boxes the one with
     /// the lowest index wins.
-    fn part_among(&self, numbers: impl Iterator<Item = usize>, global: DVec3, timely: bool) -> Part {
+    fn part_among(&self, numbers: impl Iterator<Item = usize>, global: DVec3, synchronized: bool) -> Part {
         let mut best: Option<((f64, usize), DVec3)> = None;
         let mut ghost = false;
         for number in numbers {
@@ -148,7 +148,7 @@ impl Splitter {
             }
         }
         match best.map(|((_, number), local)| (&self.boxes[number], local)) {
-            Some((item, _)) if !timely && item.sweep_m.is_some() => Part::Ghost,
+            Some((item, _)) if !synchronized && item.sweep_m.is_some() => Part::Ghost,
             Some((item, local)) => Part::Actor { track: item.track, local },
             None if ghost => Part::Ghost,
             None => Part::Background,
@@ -157,7 +157,7 @@ impl Splitter {
 }
 
 /// Maximum coordinates and reaches in the tree, meters: rounding there is far below [`SLACK_M`].
-const MOST_M: f64 = 1e9;
+const MAX_PLACED_M: f64 = 1e9;
 /// Margin of enclosures beyond the reach of a box, meters.
 const SLACK_M: f64 = 1e-3;
 
@@ -165,8 +165,9 @@ impl SplitBox {
     /// Returns a cube around every point within reach; `None` if the box cannot be placed in the tree.
     fn enclosure(&self) -> Option<Rectangle<[f64; 3]>> {
         // The comparisons are written so that NaN is not placed.
-        let placed =
-            self.centre.abs().max_element() <= MOST_M && self.centre.is_finite() && self.reach_m <= MOST_M;
+        let placed = self.centre.abs().max_element() <= MAX_PLACED_M
+            && self.centre.is_finite()
+            && self.reach_m <= MAX_PLACED_M;
         placed.then(|| {
             let reach = DVec3::splat(self.reach_m + SLACK_M);
             let corners = [self.centre - reach, self.centre + reach].map(|corner| corner.to_array());
@@ -259,7 +260,7 @@ mod tests {
             boxes in prop::collection::vec(any_box(), 0..40),
             offsets in prop::collection::vec(prop::array::uniform3(-3.0..14.0_f64), 1..60),
             snapped: bool,
-            timely: bool,
+            synchronized: bool,
         ) {
             let splitter = splitter_of(&boxes);
             for offset in offsets {
@@ -268,9 +269,9 @@ mod tests {
                 let offset = if snapped { (offset * 2.0).round() / 2.0 } else { offset };
                 let global = DVec3::new(664_000.0, 3_997_000.0, -1.0) + offset;
                 let all = 0..boxes.len();
-                let expected = splitter.part_among(all.clone(), global, timely);
-                prop_assert_eq!(splitter.part_among(all.rev(), global, timely), expected);
-                prop_assert_eq!(splitter.part(global, timely), expected, "{}", global);
+                let expected = splitter.part_among(all.clone(), global, synchronized);
+                prop_assert_eq!(splitter.part_among(all.rev(), global, synchronized), expected);
+                prop_assert_eq!(splitter.part(global, synchronized), expected, "{}", global);
             }
         }
     }

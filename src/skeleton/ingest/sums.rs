@@ -101,10 +101,10 @@ pub(super) fn merge_two(a: Vec<VoxelSum>, b: Vec<VoxelSum>) -> Vec<VoxelSum> {
 /// Sorts by voxel and merges sums of the same voxel.
 pub(super) fn merge(mut sums: Vec<VoxelSum>) -> Vec<VoxelSum> {
     sums.sort_unstable_by_key(|sum| sum.key);
-    sums.dedup_by(|next, kept| {
-        let same = next.key == kept.key;
+    sums.dedup_by(|next, retained| {
+        let same = next.key == retained.key;
         if same {
-            *kept = kept.plus(*next);
+            *retained = retained.plus(*next);
         }
         same
     });

@@ -63,9 +63,9 @@ impl SweepCloud {
                 cloud.not_finite += 1;
                 continue;
             }
-            let timely = primary.is_none_or(|lidar| point.ring == lidar);
+            let synchronized = primary.is_none_or(|lidar| point.ring == lidar);
             let is_ego = position.truncate().abs().max_element() < options.ego_clearance_m;
-            match splitter.part(global, timely) {
+            match splitter.part(global, synchronized) {
                 Part::Actor { track, local } => cloud.actors.entry(track).or_default().push(candidate(local)),
                 Part::Ghost => cloud.ghosts += 1,
                 Part::Background if is_ego => cloud.ego += 1,

@@ -107,10 +107,10 @@ fn agreed(actors: &[Vec<Point>], spacing_m: f64, options: &TemplateOptions) -> V
         cells.get(cell).is_some_and(|(first, other)| *first != actor || other.is_some())
     };
     let near_others = |actor: usize, p: &Point| neighbourhood(cell(p)).any(|c| has_other(actor, &c));
-    let kept = |(actor, points): (usize, &Vec<Point>)| -> Vec<Point> {
+    let retained = |(actor, points): (usize, &Vec<Point>)| -> Vec<Point> {
         points.iter().filter(|p| near_others(actor, p)).copied().collect()
     };
-    actors.iter().enumerate().flat_map(kept).collect()
+    actors.iter().enumerate().flat_map(retained).collect()
 }
 
 /// Returns the points with enough near neighbors, densest first: among diverging surfaces, the one shared by
@@ -152,9 +152,9 @@ fn thinned(ranked: &[Point], mirror: bool, spacing_m: f64) -> Vec<Point> {
         let [x, y, z] = p.position;
         [x, if in_middle(p) { 0.0 } else { y }, z]
     };
-    let kept = poisson_thin(ranked.iter().map(place), spacing_m);
+    let retained = poisson_thin(ranked.iter().map(place), spacing_m);
     let half: Vec<Point> =
-        kept.iter().map(|i| Point { position: place(&ranked[*i]), ..ranked[*i] }).collect();
+        retained.iter().map(|i| Point { position: place(&ranked[*i]), ..ranked[*i] }).collect();
     let reflected = |p: &Point| {
         let [x, y, z] = p.position;
         (mirror && y != 0.0).then_some(Point { position: [x, -y, z], ..*p })
@@ -296,9 +296,9 @@ mod tests {
         trucks[3..].iter_mut().for_each(|truck| truck.1.truncate(200));
         let (templates, summary) = made(&trucks, TemplateOptions::default());
         assert_eq!((templates[0].0.size, summary.instances), (long, 2));
-        let told: Vec<_> = summary.clusters.iter().map(|c| (c.used, c.size, c.members.len())).collect();
-        assert_eq!(told[..2], [(true, long, 2), (false, lone, 1)]);
-        assert_eq!((told[2].0, told[2].2), (false, 3));
+        let reported: Vec<_> = summary.clusters.iter().map(|c| (c.used, c.size, c.members.len())).collect();
+        assert_eq!(reported[..2], [(true, long, 2), (false, lone, 1)]);
+        assert_eq!((reported[2].0, reported[2].2), (false, 3));
         // Cars of two sizes are merged.
         let cars = [[3.6, 1.6, 1.4], [4.8, 1.9, 1.5]].map(|size| shell("a", "vehicle.car", size, 0.06));
         let (templates, summary) = made(&cars, TemplateOptions::default());

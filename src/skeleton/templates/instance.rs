@@ -39,13 +39,13 @@ impl Instance {
         if finite.is_empty() {
             return Err("actors without points");
         }
-        let kept = poisson_thin(finite.iter().map(|p| p.position), options.spacing_m(size_m));
+        let retained = poisson_thin(finite.iter().map(|p| p.position), options.spacing_m(size_m));
         Ok(Self {
             name: format!("{}/{}", asset.log, asset.track),
             family,
             size_m,
             points_in: points.len(),
-            points: kept.into_iter().map(|i| *finite[i]).collect(),
+            points: retained.into_iter().map(|i| *finite[i]).collect(),
         })
     }
 }

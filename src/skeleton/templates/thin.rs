@@ -5,7 +5,7 @@ use rustc_hash::FxHashMap;
 /// taken point within `spacing_m`.
 pub fn poisson_thin(points: impl IntoIterator<Item = [f32; 3]>, spacing_m: f64) -> Vec<usize> {
     let mut taken: FxHashMap<[i32; 3], Vec<[f32; 3]>> = FxHashMap::default();
-    let mut kept = Vec::new();
+    let mut retained = Vec::new();
     let cell = |p: [f32; 3]| p.map(|v| (f64::from(v) / spacing_m).floor() as i32);
     for (index, point) in points.into_iter().enumerate() {
         let at = cell(point);
@@ -14,9 +14,9 @@ pub fn poisson_thin(points: impl IntoIterator<Item = [f32; 3]>, spacing_m: f64) 
             continue;
         }
         taken.entry(at).or_default().push(point);
-        kept.push(index);
+        retained.push(index);
     }
-    kept
+    retained
 }
 
 /// Returns a grid cell and its 26 neighbors.
@@ -42,18 +42,19 @@ mod tests {
             points in prop::collection::vec(prop::array::uniform3(-0.3_f32..0.3), 1..300),
             spacing_m in 0.02_f64..0.4,
         ) {
-            let kept = poisson_thin(points.iter().copied(), spacing_m);
+            let retained = poisson_thin(points.iter().copied(), spacing_m);
             let nearest = |of: usize| {
-                let others = kept.iter().filter(|k| **k != of);
+                let others = retained.iter().filter(|k| **k != of);
                 others.map(|k| squared_distance(points[*k], points[of]).sqrt()).fold(f64::INFINITY, f64::min)
             };
             for index in 0..points.len() {
-                prop_assert_eq!(kept.contains(&index), index == kept[0] || nearest(index) >= spacing_m || {
+                let is_first = index == retained[0];
+                prop_assert_eq!(retained.contains(&index), is_first || nearest(index) >= spacing_m || {
                     // A later point may be near, since the earlier one was taken.
-                    let before = kept.iter().filter(|k| **k < index);
+                    let before = retained.iter().filter(|k| **k < index);
                     before.clone().all(|k| squared_distance(points[*k], points[index]).sqrt() >= spacing_m)
                 });
-                if kept.contains(&index) {
+                if retained.contains(&index) {
                     prop_assert!(nearest(index) >= spacing_m);
                 }
             }

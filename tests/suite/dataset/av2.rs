@@ -99,15 +99,15 @@ fn a_folder_of_logs_is_a_set() {
     assert_eq!(expand(&named("*")).unwrap(), all);
     assert_eq!(expand(&named("ffff")).unwrap(), all[1..]);
     assert_eq!(dataset::open(&named(LOG_ID)).unwrap().recording().name, LOG_ID);
-    let told = |locator: &LogLocator| Argoverse::open(locator).unwrap_err().to_string();
-    let several = told(&locator(root));
+    let reported = |locator: &LogLocator| Argoverse::open(locator).unwrap_err().to_string();
+    let several = reported(&locator(root));
     assert!(several.contains("#SCENE to name one of 0a1b2c3d, ffff, found none"), "{several}");
-    assert!(told(&named("eeee")).contains("one of 0a1b2c3d, ffff, found eeee"));
-    assert!(told(&locator(root.join("no log"))).contains("or a folder of logs, found neither"));
+    assert!(reported(&named("eeee")).contains("one of 0a1b2c3d, ffff, found eeee"));
+    assert!(reported(&locator(root.join("no log"))).contains("or a folder of logs, found neither"));
     let versioned = LogLocator { version: Some("v2".into()), ..locator(root) };
-    assert!(told(&versioned).contains("without @VERSION, found @v2"));
+    assert!(reported(&versioned).contains("without @VERSION, found @v2"));
     // A missing file is reported as missing, not as an unrecognized log.
-    assert!(told(&locator(root.join("ffff"))).contains("cannot read"));
+    assert!(reported(&locator(root.join("ffff"))).contains("cannot read"));
 }
 
 #[test]

@@ -236,33 +236,34 @@ fn notes(log: &TinyAv2) -> Vec<(String, usize)> {
 
 #[test]
 fn skipped_items_are_counted() {
-    let told = |edit: &dyn Fn(&TinyAv2)| {
+    let reported = |edit: &dyn Fn(&TinyAv2)| {
         let log = TinyAv2::new();
         edit(&log);
         notes(&log)
     };
     let one = |what: &str, count: usize| vec![(what.to_owned(), count)];
-    let rename =
-        |from: String, to: String| told(&move |log| std::fs::rename(log.path(&from), log.path(&to)).unwrap());
+    let rename = |from: String, to: String| {
+        reported(&move |log| std::fs::rename(log.path(&from), log.path(&to)).unwrap())
+    };
     let lidar = |t_ns: i64| format!("sensors/lidar/{t_ns}.feather");
     assert_eq!(
-        told(&|log| std::fs::remove_file(log.path(&sweep(1))).unwrap()),
+        reported(&|log| std::fs::remove_file(log.path(&sweep(1))).unwrap()),
         one("frames without a LiDAR sweep of their own", 1)
     );
     assert_eq!(
-        told(&|log| std::fs::remove_dir_all(log.path("sensors/lidar")).unwrap()),
+        reported(&|log| std::fs::remove_dir_all(log.path("sensors/lidar")).unwrap()),
         one("frames without a LiDAR sweep of their own", FRAMES)
     );
     assert_eq!(
-        told(&|log| std::fs::remove_file(log.path(&picture(0, "ring_side_left"))).unwrap()),
+        reported(&|log| std::fs::remove_file(log.path(&picture(0, "ring_side_left"))).unwrap()),
         one("missing camera images", 1)
     );
     assert_eq!(
-        told(&|log| std::fs::write(log.path("sensors/lidar/readme.txt"), "").unwrap()),
+        reported(&|log| std::fs::write(log.path("sensors/lidar/readme.txt"), "").unwrap()),
         one("sensor files without a time for a name", 1)
     );
     assert_eq!(
-        told(&|log| std::fs::copy(log.path(&sweep(0)), log.path(&lidar(frame_ns(2) + 7)))
+        reported(&|log| std::fs::copy(log.path(&sweep(0)), log.path(&lidar(frame_ns(2) + 7)))
             .map(|_| ())
             .unwrap()),
         one("sweeps after the last frame", 1)
@@ -280,7 +281,7 @@ fn skipped_items_are_counted() {
         [("images after the last frame".to_owned(), 1), ("missing camera images".to_owned(), 1)]
     );
     assert_eq!(
-        told(&|log| log.edit(TABLES[2], |c| {
+        reported(&|log| log.edit(TABLES[2], |c| {
             let mut names: Vec<&str> = RING.iter().map(|(name, _)| *name).collect();
             names[0] = "other";
             names.push("stereo_front_left");
@@ -289,7 +290,7 @@ fn skipped_items_are_counted() {
         one("ring cameras without calibration", 1)
     );
     let categories = |names: [&'static str; 6]| {
-        told(&move |log| log.edit(TABLES[0], |c| set(c, "category", texts(&names))))
+        reported(&move |log| log.edit(TABLES[0], |c| set(c, "category", texts(&names))))
     };
     assert_eq!(
         categories([
@@ -314,9 +315,9 @@ fn frames_without_an_ego_pose_are_skipped() {
     log.edit(TABLES[1], |columns| columns.iter_mut().for_each(|(_, c)| *c = c.slice(0, 5)));
     // The poses end half a step after the second frame.
     assert_eq!(log.open().unwrap().recording().frames.len(), 2);
-    let told = notes(&log);
-    assert_eq!(told[0], ("annotated times without an ego pose".to_owned(), 1));
-    assert_eq!(told[1], ("images without an ego pose".to_owned(), RING.len()));
+    let reported = notes(&log);
+    assert_eq!(reported[0], ("annotated times without an ego pose".to_owned(), 1));
+    assert_eq!(reported[1], ("images without an ego pose".to_owned(), RING.len()));
     log.edit(TABLES[1], |columns| columns.iter_mut().for_each(|(_, c)| *c = c.slice(0, 1)));
     log.refuses(&["boxes at a time with an ego pose", "none in 6 rows"], TABLES[0]);
     log.edit(TABLES[1], |columns| columns.iter_mut().for_each(|(_, c)| *c = c.slice(0, 0)));

@@ -2,7 +2,7 @@
 
 use point_skeleton::dataset::LogReader;
 use pskel_testing::av2_log::{TinyAv2, picture, sweep};
-use pskel_testing::nuplan_log::{Made, token};
+use pskel_testing::nuplan_log::{NuplanLog, token};
 
 const HOUR_US: i64 = 3_600_000_000;
 
@@ -13,7 +13,7 @@ fn images_of_another_clock_are_refused_in_nuplan() {
         (format!("timestamp - {HOUR_US}"), "earlier (1 h"),
         ("timestamp / 1000".to_owned(), "milliseconds instead"),
     ] {
-        let made = Made::new();
+        let made = NuplanLog::new();
         let camera = token('c', 2);
         made.sql(&format!("UPDATE image SET timestamp = {change} WHERE camera_token = {camera}"));
         made.refuses(&["images of CAM_R1 within a second of the log's lidar_pc", found, "image "]);
@@ -22,19 +22,19 @@ fn images_of_another_clock_are_refused_in_nuplan() {
 
 #[test]
 fn sweeps_of_another_clock_are_refused_in_nuplan() {
-    let made = Made::new();
+    let made = NuplanLog::new();
     made.sql(&format!("UPDATE lidar_pc SET timestamp = timestamp + {HOUR_US}"));
     // The images and the ego poses agree.
     made.refuses(&["sweeps within a second of the log's ego poses and images", "lidar_pc at", "later (1 h"]);
-    let made = Made::new();
+    let made = NuplanLog::new();
     made.sql("UPDATE lidar_pc SET timestamp = timestamp / 1000 + rowid");
     made.refuses(&["lidar_pc at", "milliseconds instead of microseconds"]);
-    let made = Made::new();
+    let made = NuplanLog::new();
     made.sql(&format!(
         "UPDATE lidar_pc SET timestamp = timestamp + {HOUR_US}; UPDATE ego_pose SET timestamp = 0"
     ));
     made.refuses(&["within a second of the log's lidar_pc", "earlier (1 h"]);
-    let made = Made::new();
+    let made = NuplanLog::new();
     made.sql(&format!("UPDATE ego_pose SET timestamp = timestamp + {HOUR_US}"));
     let notes = made.open().unwrap().recording().notes.clone();
     let note = notes.iter().find(|(note, _)| note.contains("ego poses of another time")).unwrap();
@@ -43,7 +43,7 @@ fn sweeps_of_another_clock_are_refused_in_nuplan() {
 
 #[test]
 fn images_with_another_time_than_their_ego_pose_are_noted_in_nuplan() {
-    let made = Made::new();
+    let made = NuplanLog::new();
     assert!(made.open().unwrap().recording().notes.keys().all(|note| !note.contains("another time")));
     let camera = token('c', 2);
     made.sql(&format!("UPDATE image SET timestamp = timestamp + 500000 WHERE camera_token = {camera}"));

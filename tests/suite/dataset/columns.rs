@@ -6,7 +6,7 @@ use std::sync::Arc;
 use point_skeleton::dataset::nuscenes::{read_sweep_file, write_sweep_file};
 use point_skeleton::dataset::{LogReader, Sweep, SweepPoint};
 use pskel_testing::av2_log::{self, TinyAv2};
-use pskel_testing::nuplan_log::{self, Made, sweep_file};
+use pskel_testing::nuplan_log::{self, NuplanLog, sweep_file};
 
 fn bytes(values: &[f32]) -> Vec<u8> {
     values.iter().flat_map(|v| v.to_le_bytes()).collect()
@@ -38,7 +38,7 @@ fn argoverse_sweeps_keep_points_without_intensities_or_beams() {
 }
 
 /// Reads the first sweep of a nuPlan log.
-fn read(made: &Made) -> Result<Sweep, String> {
+fn read(made: &NuplanLog) -> Result<Sweep, String> {
     let dataset = made.open().unwrap();
     dataset.read_sweep(&dataset.recording().frames[0].sweeps[0]).map_err(|error| error.to_string())
 }
@@ -63,7 +63,7 @@ fn write_devices(path: &Path, device: impl Fn(usize) -> u8) {
 
 #[test]
 fn pcd_device_columns_are_used_unless_they_contain_beams() {
-    let made = Made::new();
+    let made = NuplanLog::new();
     let check = |device: &dyn Fn(usize) -> u8| {
         // The sweeps of a log are judged together.
         (0..nuplan_log::FRAMES).for_each(|frame| write_devices(&made.blob(&sweep_file(frame)), device));

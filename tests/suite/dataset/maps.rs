@@ -5,7 +5,7 @@ use point_skeleton::dataset::av2::read_map_file;
 use serde_json::{Value, json};
 
 use pskel_testing::av2_log::map;
-use pskel_testing::nuplan_log::{Made, geometry};
+use pskel_testing::nuplan_log::{NuplanLog, geometry};
 
 const UNMARKED: &str = "lane boundaries without a mark type (not drawn)";
 
@@ -109,13 +109,13 @@ fn argoverse_maps_skip_bad_records_and_count_missing_layers() {
 
 #[test]
 fn nuplan_maps_skip_bad_features() {
-    let (whole, _) = Made::map_and_notes("");
+    let (whole, _) = NuplanLog::map_and_notes("");
     for (statement, note) in [
         ("UPDATE lanes_polygons SET geom = x'0011' WHERE fid = 12;", "records of lanes_polygons"),
         ("UPDATE baseline_paths SET lane_fid = 'abc' WHERE fid = 41;", "records of baseline_paths"),
     ] {
-        let (map, told) = Made::map_and_notes(statement);
-        assert!(told.contains(&(format!("{note} that cannot be read (skipped)"), 1)), "{told:?}");
+        let (map, reported) = NuplanLog::map_and_notes(statement);
+        assert!(reported.contains(&(format!("{note} that cannot be read (skipped)"), 1)), "{reported:?}");
         assert_eq!((&map.crossings, &map.dividers), (&whole.crossings, &whole.dividers));
         assert_eq!(map.lane_connectors.len(), whole.lane_connectors.len());
     }
@@ -123,32 +123,33 @@ fn nuplan_maps_skip_bad_features() {
 
 #[test]
 fn nuplan_maps_skip_features_without_a_shape() {
-    let notes = Made::map_and_notes;
+    let notes = NuplanLog::map_and_notes;
     let one = |kind: &str, count: usize| vec![(kind.to_owned(), count)];
     let (whole, none) = notes("");
     assert_eq!(none, []);
 
-    let (map, told) = notes("UPDATE crosswalks SET geom = NULL;");
-    assert_eq!(told, one("features of crosswalks with an empty geometry", 1));
+    let (map, reported) = notes("UPDATE crosswalks SET geom = NULL;");
+    assert_eq!(reported, one("features of crosswalks with an empty geometry", 1));
     assert!(map.crossings.is_empty() && map.lanes == whole.lanes);
     let point = [-115.0, 36.0];
     for corners in
         [&[point, [-115.1, 36.0], point][..], &[point; 5], &[[f64::NAN, 36.0], point, [-115.1, 36.1]]]
     {
-        let (map, told) = notes(&format!("UPDATE crosswalks SET geom = {};", geometry(true, corners)));
-        assert_eq!(told, one("geometries of crosswalks without an area (skipped)", 1));
+        let (map, reported) = notes(&format!("UPDATE crosswalks SET geom = {};", geometry(true, corners)));
+        assert_eq!(reported, one("geometries of crosswalks without an area (skipped)", 1));
         assert!(map.crossings.is_empty() && map.lanes == whole.lanes);
     }
     for points in [&[point][..], &[point; 2], &[point, [-115.0, f64::INFINITY]]] {
-        let (map, told) = notes(&format!("UPDATE boundaries SET geom = {};", geometry(false, points)));
+        let (map, reported) = notes(&format!("UPDATE boundaries SET geom = {};", geometry(false, points)));
         let count = whole.dividers.len();
-        assert_eq!(told, one("geometries of boundaries without a length (skipped)", count));
+        assert_eq!(reported, one("geometries of boundaries without a length (skipped)", count));
         assert!(map.dividers.is_empty());
     }
-    let (map, told) =
+    let (map, reported) =
         notes("UPDATE gen_lane_connectors_scaled_width_polygons SET lane_connector_fid = NULL;");
     assert!(
-        told.contains(&("areas of lane connectors that refer to a missing record (skipped)".to_owned(), 1))
+        reported
+            .contains(&("areas of lane connectors that refer to a missing record (skipped)".to_owned(), 1))
     );
     assert_eq!(map.lanes.len(), whole.lanes.len());
 }

@@ -5,7 +5,7 @@ use point_skeleton::Log;
 use point_skeleton::dataset::{self, Class, DatasetError, LogLocator, LogReader};
 use point_skeleton::geometry::{Distortion, View};
 use pskel_testing::nuplan_log::{
-    CAMERA_Z, CORNERS, DELAY_US, DISTORTION, FIRST_US, FRAMES, LIDAR_Z, LOG, MAP, Made, RING, STEP_US,
+    CAMERA_Z, CORNERS, DELAY_US, DISTORTION, FIRST_US, FRAMES, LIDAR_Z, LOG, MAP, NuplanLog, RING, STEP_US,
     assert_says, car_at, ego_at, image_file, sweep_file, token,
 };
 use pskel_testing::tiny_log::tree;
@@ -16,8 +16,8 @@ fn open(locator: &LogLocator) -> Result<Log, DatasetError> {
 
 #[test]
 fn cameras_at_half_the_rate_give_every_frame_an_image() {
-    let made = Made::new();
-    let dataset = made.open().unwrap();
+    let nuplan = NuplanLog::new();
+    let dataset = nuplan.open().unwrap();
     let log = dataset.recording();
     assert_eq!((log.name.as_str(), log.location.as_str()), (LOG, MAP));
     assert_eq!(log.description, "veh-01 2021-01-01");
@@ -37,7 +37,7 @@ fn cameras_at_half_the_rate_give_every_frame_an_image() {
             let shot = i / 2;
             assert_eq!((image.channel, &image.camera.name), (channel, &log.cameras[channel]));
             assert_eq!(image.t_us, FIRST_US + 2 * STEP_US * shot as i64 + DELAY_US);
-            assert_eq!(image.path, made.blob(&image_file(RING[channel], shot)));
+            assert_eq!(image.path, nuplan.blob(&image_file(RING[channel], shot)));
             assert_eq!(image.global_from_ego.translation, ego_at(2.0 * shot as f64 + 0.1));
             let distortion = (channel == 1).then(|| Distortion::from_opencv(DISTORTION).unwrap());
             assert_eq!(image.camera.distortion, distortion);
@@ -48,8 +48,8 @@ fn cameras_at_half_the_rate_give_every_frame_an_image() {
 
 #[test]
 fn tracks_with_boxes_are_sorted_by_id() {
-    let made = Made::new();
-    let dataset = made.open().unwrap();
+    let nuplan = NuplanLog::new();
+    let dataset = nuplan.open().unwrap();
     let log = dataset.recording();
     let tracks: Vec<_> = log.tracks.iter().map(|t| (t.id.as_str(), t.category.as_str(), t.class)).collect();
     let expected =
@@ -67,8 +67,8 @@ fn tracks_with_boxes_are_sorted_by_id() {
 /// A camera looks along x, y or -x from 1.5 m above a known ego position, so pixels are computed by hand.
 #[test]
 fn known_points_fall_on_known_pixels() {
-    let made = Made::new();
-    let dataset = made.open().unwrap();
+    let nuplan = NuplanLog::new();
+    let dataset = nuplan.open().unwrap();
     let frame = &dataset.recording().frames[1];
     let eye = ego_at(0.1) + DVec3::Z * CAMERA_Z;
     let pixel = |channel: usize, offset: DVec3| {
@@ -93,8 +93,8 @@ fn known_points_fall_on_known_pixels() {
 /// The car's box contains exactly the points that were placed on its back, of both devices.
 #[test]
 fn points_lie_in_their_box() {
-    let made = Made::new();
-    let dataset = made.open().unwrap();
+    let nuplan = NuplanLog::new();
+    let dataset = nuplan.open().unwrap();
     for frame in &dataset.recording().frames {
         let record = &frame.sweeps[0];
         let sweep = dataset.read_sweep(record).unwrap();
@@ -115,9 +115,9 @@ fn points_lie_in_their_box() {
 
 #[test]
 fn a_scene_is_a_part_of_the_log() {
-    let made = Made::new();
+    let nuplan = NuplanLog::new();
     for scene in ["scene-001", "7300000000000001"] {
-        let locator = LogLocator { scene: Some(scene.into()), ..made.locator() };
+        let locator = LogLocator { scene: Some(scene.into()), ..nuplan.locator() };
         let dataset = open(&locator).unwrap();
         let log = dataset.recording();
         let times: Vec<i64> = log.frames.iter().map(|f| (f.t_us - FIRST_US) / STEP_US).collect();
@@ -132,19 +132,19 @@ fn a_scene_is_a_part_of_the_log() {
         assert!(log.frames.iter().all(|f| f.images.len() == 8 && f.boxes.len() == 2), "{:?}", log.notes);
         assert!(log.notes.is_empty(), "{:?}", log.notes);
     }
-    let locator = LogLocator { scene: Some("scene-009".into()), ..made.locator() };
+    let locator = LogLocator { scene: Some("scene-009".into()), ..nuplan.locator() };
     let message = open(&locator).err().unwrap().to_string();
     assert_says(&message, &["scene-000, scene-001, found scene-009"], &format!("{LOG}.db"));
 }
 
 #[test]
 fn missing_files_are_skipped_and_counted() {
-    let made = Made::new();
-    std::fs::remove_file(made.blob(&sweep_file(2))).unwrap();
+    let nuplan = NuplanLog::new();
+    std::fs::remove_file(nuplan.blob(&sweep_file(2))).unwrap();
     for camera in &RING[..3] {
-        std::fs::remove_file(made.blob(&image_file(camera, 0))).unwrap();
+        std::fs::remove_file(nuplan.blob(&image_file(camera, 0))).unwrap();
     }
-    let dataset = made.open().unwrap();
+    let dataset = nuplan.open().unwrap();
     let log = dataset.recording();
     let notes: Vec<_> = log.notes.iter().map(|(kind, n)| (kind.as_str(), *n)).collect();
     assert_eq!(notes, [("missing image files", 3), ("missing sweep files", 1)]);
@@ -154,18 +154,18 @@ fn missing_files_are_skipped_and_counted() {
     assert_eq!(count(|f| f.boxes.len()), [2; 4]);
     assert!(log.frames[0].images.iter().all(|image| image.channel >= 3));
     // All blobs may be missing.
-    std::fs::remove_dir_all(made.blob("")).unwrap();
-    let notes = made.open().unwrap().recording().notes.clone();
+    std::fs::remove_dir_all(nuplan.blob("")).unwrap();
+    let notes = nuplan.open().unwrap().recording().notes.clone();
     assert_eq!(notes.into_values().collect::<Vec<_>>(), [16, 4]);
 }
 
 #[test]
 fn cameras_without_an_image_near_a_frame_are_counted() {
-    let made = Made::new();
+    let nuplan = NuplanLog::new();
     let (first, late) = (token('i', 0), token('i', 12));
-    made.sql(&format!("DELETE FROM image WHERE token = {first};"));
-    made.sql(&format!("UPDATE image SET timestamp = timestamp + 200000 WHERE token = {late};"));
-    let dataset = made.open().unwrap();
+    nuplan.sql(&format!("DELETE FROM image WHERE token = {first};"));
+    nuplan.sql(&format!("UPDATE image SET timestamp = timestamp + 200000 WHERE token = {late};"));
+    let dataset = nuplan.open().unwrap();
     let log = dataset.recording();
     let notes: Vec<_> = log.notes.iter().map(|(kind, n)| (kind.as_str(), *n)).collect();
     let (pose, others) = notes.split_first().unwrap();
@@ -185,22 +185,30 @@ fn cameras_without_an_image_near_a_frame_are_counted() {
 
 #[test]
 fn images_far_from_every_frame_lie_between_frames() {
-    let made = Made::new();
+    let nuplan = NuplanLog::new();
     let (old, new) = (token('i', 3), token('i', 99));
     let rest = "next_token, prev_token, ego_pose_token, camera_token, filename_jpg";
-    made.sql(&format!(
+    nuplan.sql(&format!(
         "INSERT INTO image SELECT {new}, {rest}, timestamp + 25000 FROM image WHERE token = {old};"
     ));
-    let dataset = made.open().unwrap();
+    let dataset = nuplan.open().unwrap();
     let between: Vec<usize> = dataset.recording().frames.iter().map(|f| f.between_images.len()).collect();
     // The image at 30 ms is closer to the frame at 50 ms than the one at 5 ms, which still serves the frame
     // at 0 ms.
     assert_eq!(between, [0; 4]);
     assert_eq!(dataset.recording().frames[1].images[3].t_us, FIRST_US + 30_000);
-    made.sql(&format!("UPDATE image SET timestamp = timestamp - 3000 WHERE token = {};", token('i', 99)));
-    made.sql(&format!("UPDATE image SET timestamp = {} WHERE token = {};", FIRST_US + 49_000, token('i', 3)));
-    made.sql(&format!("UPDATE image SET timestamp = {} WHERE token = {};", FIRST_US + 2_000, token('i', 13)));
-    let dataset = made.open().unwrap();
+    nuplan.sql(&format!("UPDATE image SET timestamp = timestamp - 3000 WHERE token = {};", token('i', 99)));
+    nuplan.sql(&format!(
+        "UPDATE image SET timestamp = {} WHERE token = {};",
+        FIRST_US + 49_000,
+        token('i', 3)
+    ));
+    nuplan.sql(&format!(
+        "UPDATE image SET timestamp = {} WHERE token = {};",
+        FIRST_US + 2_000,
+        token('i', 13)
+    ));
+    let dataset = nuplan.open().unwrap();
     let between: Vec<usize> = dataset.recording().frames.iter().map(|f| f.between_images.len()).collect();
     assert_eq!(between, [0, 1, 0, 0]);
     assert_eq!(dataset.recording().frames[1].between_images[0].t_us, FIRST_US + 27_000);
@@ -208,51 +216,51 @@ fn images_far_from_every_frame_lie_between_frames() {
 
 #[test]
 fn sensors_and_maps_may_be_in_other_folders() {
-    let made = Made::new();
+    let nuplan = NuplanLog::new();
     for (from, to) in [("nuplan-v1.1/sensor_blobs", "blobs"), ("maps", "places")] {
-        std::fs::rename(made.path(from), made.path(to)).unwrap();
+        std::fs::rename(nuplan.path(from), nuplan.path(to)).unwrap();
     }
-    let dataset = made.open().unwrap();
+    let dataset = nuplan.open().unwrap();
     assert_eq!((dataset.recording().notes.len(), dataset.read_map().unwrap()), (2, None));
-    let (sensor_root, map_root) = (Some(made.path("blobs")), Some(made.path("places")));
-    let dataset = open(&LogLocator { sensor_root, map_root, ..made.locator() }).unwrap();
+    let (sensor_root, map_root) = (Some(nuplan.path("blobs")), Some(nuplan.path("places")));
+    let dataset = open(&LogLocator { sensor_root, map_root, ..nuplan.locator() }).unwrap();
     assert!(dataset.recording().notes.is_empty() && dataset.map().is_some());
-    let gone = LogLocator { sensor_root: Some(made.path("gone")), ..made.locator() };
+    let gone = LogLocator { sensor_root: Some(nuplan.path("gone")), ..nuplan.locator() };
     assert_says(&open(&gone).err().unwrap().to_string(), &["cannot read"], "gone");
     // The given map folder must contain the log's map.
-    std::fs::write(made.path("places/nuplan-maps-v1.0.json"), "{}").unwrap();
-    let said = LogLocator { map_root: Some(made.path("places")), ..made.locator() };
+    std::fs::write(nuplan.path("places/nuplan-maps-v1.0.json"), "{}").unwrap();
+    let said = LogLocator { map_root: Some(nuplan.path("places")), ..nuplan.locator() };
     let message = open(&said).unwrap().require_map().unwrap_err().to_string();
     assert_says(&message, &[&format!("expected map {MAP}, found none of that name")], "places");
 }
 
 #[test]
 fn nothing_is_written_beside_the_data() {
-    let made = Made::new();
+    let nuplan = NuplanLog::new();
     // A log written with this journal mode makes readers create two more files.
-    made.sql("PRAGMA journal_mode = WAL; UPDATE log SET date = 'today';");
-    let before = tree(&made.path(""));
-    let dataset = made.open().unwrap();
+    nuplan.sql("PRAGMA journal_mode = WAL; UPDATE log SET date = 'today';");
+    let before = tree(&nuplan.path(""));
+    let dataset = nuplan.open().unwrap();
     dataset.read_map().unwrap().unwrap();
-    assert!(before == tree(&made.path("")));
+    assert!(before == tree(&nuplan.path("")));
 }
 
 /// Data that is still in the journal would not be read.
 #[test]
 fn a_journal_beside_a_log_is_an_error() {
-    let made = Made::new();
-    let mut journal = made.database().into_os_string();
+    let nuplan = NuplanLog::new();
+    let mut journal = nuplan.database().into_os_string();
     journal.push("-wal");
     std::fs::write(&journal, "").unwrap();
-    made.open().unwrap();
+    nuplan.open().unwrap();
     std::fs::write(&journal, [1; 33]).unwrap();
-    made.refuses(&["expected a database without a write-ahead log", "found 33 bytes in ", ".db-wal"]);
+    nuplan.refuses(&["expected a database without a write-ahead log", "found 33 bytes in ", ".db-wal"]);
 }
 
 #[test]
 fn maps_are_projected_to_meters() {
-    let made = Made::new();
-    let map = made.open().unwrap().read_map().unwrap().unwrap();
+    let nuplan = NuplanLog::new();
+    let map = nuplan.open().unwrap().read_map().unwrap().unwrap();
     assert_eq!(map.location, MAP);
     let assert_near = |points: &[DVec2], expected: &[[f64; 2]]| {
         assert_eq!(points.len(), expected.len());

@@ -6,31 +6,32 @@ use point_skeleton::dataset::{LogLocator, LogReader, MissingData};
 use proptest::prelude::*;
 
 use pskel_testing::nuplan_log::{
-    EAST, LOG, Made, NORTH, RING, SOUTH, WEST, assert_says, geometry, image_file, pickled, sweep_file, token,
+    EAST, LOG, NORTH, NuplanLog, RING, SOUTH, WEST, assert_says, geometry, image_file, pickled, sweep_file,
+    token,
 };
 use pskel_testing::shared::shared;
 
 /// Checks the message after some statements.
 #[track_caller]
 fn refused(statements: &str, parts: &[&str]) {
-    let made = Made::new();
-    made.sql(statements);
-    made.refuses(parts);
+    let nuplan = NuplanLog::new();
+    nuplan.sql(statements);
+    nuplan.refuses(parts);
 }
 
 #[test]
 fn files_other_than_logs_are_named() {
-    let made = Made::new();
-    let path = made.database();
+    let nuplan = NuplanLog::new();
+    let path = nuplan.database();
     let whole = std::fs::read(&path).unwrap();
     std::fs::write(&path, "no database, but long enough to be looked at more closely").unwrap();
-    made.refuses(&["expected a SQLite database", "found text that begins with"]);
+    nuplan.refuses(&["expected a SQLite database", "found text that begins with"]);
     std::fs::write(&path, &whole[..whole.len() / 2]).unwrap();
-    made.refuses(&["(cut off)"]);
+    nuplan.refuses(&["(cut off)"]);
     std::fs::write(&path, []).unwrap();
-    made.refuses(&["expected a SQLite database", "found an empty file"]);
+    nuplan.refuses(&["expected a SQLite database", "found an empty file"]);
     std::fs::remove_file(&path).unwrap();
-    made.refuses(&["cannot read", "No such file"]);
+    nuplan.refuses(&["cannot read", "No such file"]);
 }
 
 #[test]
@@ -72,13 +73,13 @@ fn missing_tables_and_columns_are_named() {
 /// Goals may lie in a part of the recording that was cut off.
 #[test]
 fn missing_goals_are_counted() {
-    let made = Made::new();
-    made.sql("UPDATE scene SET goal_ego_pose_token = x'0123456789abcdef', roadblock_ids = '7 8';");
-    let log = made.open().unwrap();
+    let nuplan = NuplanLog::new();
+    nuplan.sql("UPDATE scene SET goal_ego_pose_token = x'0123456789abcdef', roadblock_ids = '7 8';");
+    let log = nuplan.open().unwrap();
     let (routes, notes) = (&log.recording().routes, &log.recording().notes);
     assert!(!routes.is_empty() && routes.iter().all(|route| route.roadblocks == ["7", "8"]));
     assert!(routes.iter().all(|route| route.goal.is_none()));
-    assert_eq!(notes["goals of routes that are not there"], routes.len());
+    assert_eq!(notes["missing goals of routes"], routes.len());
 }
 
 #[test]
@@ -93,9 +94,9 @@ fn dangling_tokens_are_named() {
     ];
     for (table, column, target) in cases {
         for (value, found) in [("x'00ff'", "00ff"), ("NULL", "NULL")] {
-            let made = Made::new();
-            made.sql(&format!("UPDATE {table} SET {column} = {value};"));
-            let mut locator = made.locator();
+            let nuplan = NuplanLog::new();
+            nuplan.sql(&format!("UPDATE {table} SET {column} = {value};"));
+            let mut locator = nuplan.locator();
             locator.reading.missing = MissingData::Error;
             let message = NuPlan::open(&locator).expect_err("a log with gaps").to_string();
             let kind = if table == "image" || table == "lidar_pc" { "sweeps and images" } else { "boxes" };
@@ -209,9 +210,9 @@ fn times_that_do_not_increase_are_named() {
         &["timestamps that grow from image to image as timestamp of image", "twice, CAM_"],
     );
     // A next_token of a row outside the log ends the chain without an error.
-    let made = Made::new();
-    made.sql(&format!("UPDATE lidar_pc SET next_token = x'00' WHERE token = {b};"));
-    assert!(made.open().is_ok());
+    let nuplan = NuplanLog::new();
+    nuplan.sql(&format!("UPDATE lidar_pc SET next_token = x'00' WHERE token = {b};"));
+    assert!(nuplan.open().is_ok());
 }
 
 /// Logs are cut from longer recordings, and some tables keep rows of the remainder.
@@ -220,20 +221,20 @@ fn data_without_a_frame_is_counted() {
     let tables = ["scenario_tag", "traffic_light_status", "lidar_box"];
     let kinds = ["scenario tags", "traffic lights", "boxes"];
     for (table, kind) in tables.into_iter().zip(kinds) {
-        let made = Made::new();
-        let whole = made.open().unwrap().recording().clone();
+        let nuplan = NuplanLog::new();
+        let whole = nuplan.open().unwrap().recording().clone();
         let all = [
             whole.scenarios.values().map(Vec::len).sum(),
             whole.lights.len(),
             whole.frames.iter().map(|f| f.boxes.len()).sum(),
         ];
-        made.sql(&format!("UPDATE {table} SET lidar_pc_token = x'0102' WHERE rowid <= 2;"));
+        nuplan.sql(&format!("UPDATE {table} SET lidar_pc_token = x'0102' WHERE rowid <= 2;"));
         for scene in [None, Some("scene-000".into())] {
-            let dataset = NuPlan::open(&LogLocator { scene, ..made.locator() }).unwrap();
+            let dataset = NuPlan::open(&LogLocator { scene, ..nuplan.locator() }).unwrap();
             let notes: Vec<_> = dataset.recording().notes.clone().into_iter().collect();
             assert_eq!(notes, [(format!("{kind} of frames that are not there"), 2)]);
         }
-        let log = made.open().unwrap().recording().clone();
+        let log = nuplan.open().unwrap().recording().clone();
         assert_eq!(log.frames[0].boxes.is_empty(), table == "lidar_box");
         assert!(all.iter().all(|count: &usize| *count > 2));
         refused(
@@ -246,10 +247,10 @@ fn data_without_a_frame_is_counted() {
 #[test]
 fn boxes_without_a_size_are_counted() {
     for statement in ["SET width = 0", "SET height = -1", "SET length = 0, width = -5"] {
-        let made = Made::new();
+        let nuplan = NuplanLog::new();
         let box_0 = token('b', 10);
-        made.sql(&format!("UPDATE lidar_box {statement} WHERE token = {box_0};"));
-        let log = made.open().unwrap().recording().clone();
+        nuplan.sql(&format!("UPDATE lidar_box {statement} WHERE token = {box_0};"));
+        let log = nuplan.open().unwrap().recording().clone();
         assert_eq!(log.notes.into_iter().collect::<Vec<_>>(), [("boxes without a size".to_owned(), 1)]);
         let boxes: Vec<usize> = log.frames.iter().map(|f| f.boxes.len()).collect();
         assert_eq!(boxes, [2, 1, 2, 2], "{statement}");
@@ -266,10 +267,10 @@ fn rejects_two_boxes_of_a_track_in_a_frame() {
 
 #[test]
 fn damaged_blobs_are_named() {
-    let made = Made::new();
-    let dataset = made.open().unwrap();
+    let nuplan = NuplanLog::new();
+    let dataset = nuplan.open().unwrap();
     let frame = &dataset.recording().frames[0];
-    let path = made.blob(&sweep_file(0));
+    let path = nuplan.blob(&sweep_file(0));
     let whole = std::fs::read(&path).unwrap();
     let message = || {
         let read = dataset.read_sweep(&frame.sweeps[0]).unwrap_err().to_string();
@@ -286,7 +287,7 @@ fn damaged_blobs_are_named() {
     std::fs::remove_file(&path).unwrap();
     assert_says(&message().0, &["cannot read"], "0.pcd");
 
-    let path = made.blob(&image_file(RING[0], 0));
+    let path = nuplan.blob(&image_file(RING[0], 0));
     let jpeg = std::fs::read(&path).unwrap();
     std::fs::write(&path, &jpeg[..jpeg.len() / 2]).unwrap();
     assert_says(&dataset.read_image(&frame.images[0]).unwrap_err().to_string(), &["expected"], "0.jpg");
@@ -295,9 +296,9 @@ fn damaged_blobs_are_named() {
 /// Checks the message of reading the map after some statements.
 #[track_caller]
 fn map_refused(statements: &str, parts: &[&str]) {
-    let made = Made::new();
-    made.map_sql(statements);
-    let message = made.open().unwrap().read_map().expect_err("a damaged map").to_string();
+    let nuplan = NuplanLog::new();
+    nuplan.map_sql(statements);
+    let message = nuplan.open().unwrap().read_map().expect_err("a damaged map").to_string();
     assert_says(&message, parts, "map.gpkg");
 }
 
@@ -324,9 +325,9 @@ fn missing_map_layers_are_counted_but_lanes_are_required() {
             map_refused(&drop_both, &["expected layer lanes_polygons, found none of that name"]);
             continue;
         }
-        let made = Made::new();
-        made.map_sql(&drop_both);
-        let map = made.open().unwrap().read_map().unwrap().unwrap();
+        let nuplan = NuplanLog::new();
+        nuplan.map_sql(&drop_both);
+        let map = nuplan.open().unwrap().read_map().unwrap().unwrap();
         assert_eq!(map.notes[&format!("maps without {layer}")], 1);
     }
     map_refused("DROP TABLE meta;", &["expected meta with key, value", "no such table: meta"]);
@@ -372,28 +373,28 @@ fn several(parts: &[String], kind: u8) -> String {
 
 #[test]
 fn missing_parts_of_a_map_are_counted() {
-    let notes = Made::map_and_notes;
+    let notes = NuplanLog::map_and_notes;
     let one = |kind: &str, count: usize| vec![(kind.to_owned(), count)];
     let (whole, none) = notes("");
     assert_eq!(none, []);
 
-    let (map, told) = notes("DELETE FROM gen_lane_connectors_scaled_width_polygons;");
+    let (map, reported) = notes("DELETE FROM gen_lane_connectors_scaled_width_polygons;");
     let lost = [
         ("baseline paths of unknown lanes".to_owned(), 1),
         ("lane connectors without an area".to_owned(), 1),
     ];
-    assert_eq!(told, lost);
+    assert_eq!(reported, lost);
     assert!(map.lane_connectors.is_empty() && map.lanes[0].successors.is_empty());
 
     // Maps may lack a layer for people.
-    let (map, told) = notes("DELETE FROM gpkg_geometry_columns WHERE table_name = 'walkways';");
-    assert_eq!((told, map.walkways.len()), (one("maps without walkways", 1), 0));
+    let (map, reported) = notes("DELETE FROM gpkg_geometry_columns WHERE table_name = 'walkways';");
+    assert_eq!((reported, map.walkways.len()), (one("maps without walkways", 1), 0));
 
     // Polygons, lines and their multi-part types, all without parts.
     for kind in [2, 3, 5, 6] {
         let empty = format!("x'47500011e610000001{kind:02x}00000000000000'");
-        let (map, told) = notes(&format!("UPDATE crosswalks SET geom = {empty};"));
-        assert_eq!(told, one("features of crosswalks with an empty geometry", 1));
+        let (map, reported) = notes(&format!("UPDATE crosswalks SET geom = {empty};"));
+        assert_eq!(reported, one("features of crosswalks with an empty geometry", 1));
         assert!(map.crossings.is_empty() && map.lanes == whole.lanes);
     }
 
@@ -401,35 +402,35 @@ fn missing_parts_of_a_map_are_counted() {
     let small = geometry(true, &[[-115.0, 36.0], [-115.0001, 36.0], [-115.0, 36.0001], [-115.0, 36.0]]);
     let large = [[WEST, SOUTH], [WEST, NORTH], [EAST, NORTH], [EAST, SOUTH], [WEST, SOUTH]];
     let parts = several(&[small.clone(), geometry(true, &large), small], 6);
-    let (map, told) = notes(&format!("UPDATE lanes_polygons SET geom = {parts} WHERE fid = 12;"));
-    assert_eq!(told, one("smaller parts of lanes", 2));
+    let (map, reported) = notes(&format!("UPDATE lanes_polygons SET geom = {parts} WHERE fid = 12;"));
+    assert_eq!(reported, one("smaller parts of lanes", 2));
     assert_eq!(map.lanes, whole.lanes);
 
     let copy = "INSERT INTO gen_lane_connectors_scaled_width_polygons SELECT 32, geom, lane_connector_fid \
         FROM \
         gen_lane_connectors_scaled_width_polygons;";
-    let (map, told) = notes(copy);
-    assert_eq!(told, one("further areas of a lane", 1));
+    let (map, reported) = notes(copy);
+    assert_eq!(reported, one("further areas of a lane", 1));
     assert_eq!(map.lane_connectors, whole.lane_connectors);
 
-    let (_, told) = notes("UPDATE baseline_paths SET lane_fid = 99 WHERE fid = 41;");
-    assert_eq!(told, one("baseline paths of unknown lanes", 1));
-    let (map, told) = notes(
+    let (_, reported) = notes("UPDATE baseline_paths SET lane_fid = 99 WHERE fid = 41;");
+    assert_eq!(reported, one("baseline paths of unknown lanes", 1));
+    let (map, reported) = notes(
         "INSERT INTO baseline_paths SELECT 43, geom, lane_fid, NULL FROM baseline_paths WHERE fid = 41;",
     );
-    assert_eq!(told, one("further baseline paths of a lane", 1));
+    assert_eq!(reported, one("further baseline paths of a lane", 1));
     assert_eq!(map.lanes, whole.lanes);
 }
 
 #[test]
 fn the_map_index_must_match() {
-    let made = Made::new();
-    let index = made.path("maps/nuplan-maps-v1.0.json");
-    let message = || made.open().unwrap().read_map().unwrap_err().to_string();
-    std::fs::remove_file(made.map()).unwrap();
+    let nuplan = NuplanLog::new();
+    let index = nuplan.path("maps/nuplan-maps-v1.0.json");
+    let message = || nuplan.open().unwrap().read_map().unwrap_err().to_string();
+    std::fs::remove_file(nuplan.map()).unwrap();
     assert_says(&message(), &["cannot read"], "1.0/map.gpkg");
     std::fs::write(&index, "{}").unwrap();
-    assert_eq!(made.open().unwrap().read_map().unwrap(), None);
+    assert_eq!(nuplan.open().unwrap().read_map().unwrap(), None);
     std::fs::write(&index, "{\"us-xx-nowhere\": {\"version\": \"../..\"}}").unwrap();
     assert_says(
         &message(),
@@ -473,9 +474,9 @@ proptest! {
         is_map in any::<bool>(),
         places in proptest::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 1..8),
     ) {
-        thread_local!(static MADE: Made = Made::new());
-        MADE.with(|made| {
-            let path = if is_map { made.map() } else { made.database() };
+        thread_local!(static NUPLAN: NuplanLog = NuplanLog::new());
+        NUPLAN.with(|nuplan| {
+            let path = if is_map { nuplan.map() } else { nuplan.database() };
             let whole = std::fs::read(&path).unwrap();
             let mut bytes = whole.clone();
             for (place, value) in places {
@@ -483,7 +484,7 @@ proptest! {
                 bytes[place] = value;
             }
             std::fs::write(&path, &bytes).unwrap();
-            let opened = made.open();
+            let opened = nuplan.open();
             let map = opened.as_ref().ok().map(|dataset| dataset.read_map().is_ok());
             std::fs::write(&path, &whole).unwrap();
             assert!(map != Some(true) || opened.unwrap().recording().frames.len() <= 8);

@@ -27,7 +27,7 @@ const CAMERAS: [(&str, &str); 6] = [
     ("CAM_L0", "CAM_FRONT_LEFT"),
 ];
 /// Frames whose sensor files exist.
-const KEPT: [usize; 6] = [0, 4, 8, 16, 24, 34];
+const RETAINED: [usize; 6] = [0, 4, 8, 16, 24, 34];
 
 fn folder() -> Option<PathBuf> {
     Some(shared("the PandaSet drive")?.join("data/pandaset-002"))
@@ -76,8 +76,8 @@ fn the_recording_matches_its_readme() {
     let with = |has: fn(&point_skeleton::dataset::Frame) -> bool| -> Vec<usize> {
         (0..38).filter(|i| has(&log.frames[*i])).collect()
     };
-    assert_eq!(with(|f| f.sweeps.len() == 1), KEPT);
-    assert_eq!(with(|f| f.images.len() == 6), KEPT);
+    assert_eq!(with(|f| f.sweeps.len() == 1), RETAINED);
+    assert_eq!(with(|f| f.images.len() == 6), RETAINED);
     assert!(log.frames.iter().all(|f| f.images.len() % 6 == 0 && f.between_images.is_empty()));
     for frame in &log.frames {
         for image in &frame.images {
@@ -149,7 +149,7 @@ fn skeleton(out: &Path, drive: &dyn LogReader) -> Skeleton {
     let mut options = BuildOptions { voxel_m: 0.0, ..BuildOptions::default() };
     options.split.ego_clearance_m = 0.0;
     let frames: Vec<usize> = (0..drive.recording().frames.len()).collect();
-    skeleton_of(out, &WithLog::grey(drive, &KEPT), &frames, &options)
+    skeleton_of(out, &WithLog::grey(drive, &RETAINED), &frames, &options)
 }
 
 fn background(skeleton: &Skeleton, offset: DVec3) -> Vec<[f64; 3]> {
@@ -199,7 +199,7 @@ fn background_points_are_within_two_millimeters_of_the_other_layout() {
     let log = nuscenes.recording();
     let frames: Vec<_> = log.frames.iter().collect();
     let trajectories = Trajectories::new(log, &frames);
-    let splitters = KEPT.map(|i| {
+    let splitters = RETAINED.map(|i| {
         Splitter::new(&frames[i].boxes, &trajectories, frames[i].t_us, &BuildOptions::default().split)
     });
     let near_a_side = |point: DVec3| splitters.iter().any(|splitter| is_at_a_side(splitter, point));

@@ -12,7 +12,7 @@ use serde_json::{Value, json};
 
 /// Returns a 10 m square with a hole, a lane on it that ends in a connector, a crossing, a stop line and two
 /// dividers.
-fn made_up() -> Value {
+fn synthetic_map() -> Value {
     let square = [("a", 0, 0), ("b", 10, 0), ("c", 10, 10), ("d", 0, 10)];
     let hole = [("e", 4, 4), ("f", 6, 4), ("g", 5, 6)];
     let nodes = square.iter().chain(&hole).map(|(token, x, y)| json!({"token": token, "x": x, "y": y}));
@@ -51,7 +51,7 @@ fn read(map: &Value) -> Result<VectorMap, String> {
 
 #[test]
 fn reads_a_synthetic_map() {
-    let map = read(&made_up()).unwrap();
+    let map = read(&synthetic_map()).unwrap();
     let at = |x: f64, y: f64| DVec2::new(x, y);
     let half = Area { exterior: vec![at(0.0, 0.0), at(10.0, 0.0), at(10.0, 10.0)], holes: vec![] };
     let square = vec![at(0.0, 0.0), at(10.0, 0.0), at(10.0, 10.0), at(0.0, 10.0)];
@@ -77,7 +77,7 @@ fn reads_a_synthetic_map() {
 /// Maps before version 1.2 lack these layers; some write an empty array in place of an empty object.
 #[test]
 fn layers_of_later_versions_may_be_missing() {
-    let mut map = made_up();
+    let mut map = synthetic_map();
     for layer in ["lane_connector", "connectivity"] {
         map.as_object_mut().unwrap().remove(layer);
     }
@@ -89,7 +89,7 @@ fn layers_of_later_versions_may_be_missing() {
 
 #[test]
 fn lines_without_nodes_are_counted() {
-    let mut map = made_up();
+    let mut map = synthetic_map();
     map["line"].as_array_mut().unwrap().push(json!({"token": "empty", "node_tokens": []}));
     assert!(read(&map).unwrap().notes.is_empty());
     map["lane_divider"][0]["line_token"] = json!("empty");
@@ -147,15 +147,16 @@ fn records_without_a_shape_are_skipped_and_counted() {
         (|m| m["node"][4]["x"] = json!(null), &["holes without an area"]),
         (|m| m["arcline_path_3"]["lane"][0]["shape"] = json!("LQR"), &["damaged centerlines of lanes"]),
     ];
-    assert!(read(&made_up()).unwrap().notes.is_empty());
+    assert!(read(&synthetic_map()).unwrap().notes.is_empty());
     for (edit, notes) in cases {
-        let mut map = made_up();
+        let mut map = synthetic_map();
         edit(&mut map);
         let map = read(&map).unwrap();
         let found: Vec<&str> = map.notes.keys().map(|note| note.trim_end_matches(" (skipped)")).collect();
         assert_eq!(found, notes);
-        let kept = [&map.lanes.len(), &map.drivable_area.len(), &map.crossings.len(), &map.stop_lines.len()];
-        assert!(kept.into_iter().sum::<usize>() >= 2, "{found:?}");
+        let retained =
+            [&map.lanes.len(), &map.drivable_area.len(), &map.crossings.len(), &map.stop_lines.len()];
+        assert!(retained.into_iter().sum::<usize>() >= 2, "{found:?}");
     }
 }
 
@@ -172,13 +173,13 @@ fn broken_maps_are_errors() {
         (|m| m["connectivity"] = json!([1]), &["an object by lane, or an empty array"]),
     ];
     for (edit, parts) in cases {
-        let mut map = made_up();
+        let mut map = synthetic_map();
         edit(&mut map);
         let message = read(&map).unwrap_err();
         assert!(parts.iter().all(|part| message.contains(part)), "{message}\nexpected {parts:?}");
     }
     for layer in ["node", "polygon", "lane"] {
-        let mut map = made_up();
+        let mut map = synthetic_map();
         map.as_object_mut().unwrap().remove(layer);
         assert!(read(&map).unwrap_err().contains(&format!("no field {layer}")));
     }
@@ -188,7 +189,7 @@ fn broken_maps_are_errors() {
 fn missing_map_layers_are_counted() {
     for layer in ["line", "drivable_area", "ped_crossing", "stop_line", "road_divider", "lane_divider"] {
         for value in [None, Some(Value::Null)] {
-            let mut map = made_up();
+            let mut map = synthetic_map();
             map.as_object_mut().unwrap().remove(layer);
             if let Some(value) = value {
                 map[layer] = value;
@@ -225,9 +226,9 @@ fn bad_records_are_skipped_and_counted() {
             "records of arcline_path_3 that cannot be read (skipped)",
         ),
     ];
-    let whole = read(&made_up()).unwrap();
+    let whole = read(&synthetic_map()).unwrap();
     for (edit, note) in cases {
-        let mut map = made_up();
+        let mut map = synthetic_map();
         edit(&mut map);
         let mut map = read(&map).unwrap();
         assert_eq!(std::mem::take(&mut map.notes).into_iter().collect::<Vec<_>>(), [(note.to_owned(), 1)]);
@@ -252,7 +253,7 @@ proptest! {
         places in proptest::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 0..6),
         cut in proptest::option::of(any::<prop::sample::Index>()),
     ) {
-        let mut bytes = made_up().to_string().into_bytes();
+        let mut bytes = synthetic_map().to_string().into_bytes();
         for (place, value) in places {
             let place = place.index(bytes.len());
             bytes[place] = value;
@@ -285,7 +286,7 @@ fn the_map_of_the_logs_location_is_found() {
     for below in ["maps/expansion", "elsewhere"] {
         std::fs::create_dir_all(root.join(below)).unwrap();
     }
-    std::fs::write(root.join("maps/expansion/town.json"), made_up().to_string()).unwrap();
+    std::fs::write(root.join("maps/expansion/town.json"), synthetic_map().to_string()).unwrap();
     let map = log_with(None, root).read_map().unwrap().unwrap();
     assert_eq!((map.location.as_str(), map.lanes.len()), ("town", 1));
     let elsewhere = Some(root.join("elsewhere"));

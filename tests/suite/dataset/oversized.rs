@@ -8,14 +8,14 @@ use arrow_ipc::CompressionType;
 use point_skeleton::dataset::nuscenes::{NuScenes, read_map_file};
 use point_skeleton::dataset::{LogLocator, LogReader};
 use pskel_testing::av2_log::{TinyAv2, sweep, write};
-use pskel_testing::nuplan_log::Made;
+use pskel_testing::nuplan_log::NuplanLog;
 use pskel_testing::tiny_log::TinyLog;
 use serde_json::json;
 
 #[test]
 fn endless_views_are_aborted() {
     for (table, columns) in [("lidar_box", "other.*"), ("log", "other.*"), ("ego_pose", "other.*")] {
-        let made = Made::new();
+        let made = NuplanLog::new();
         made.sql(&format!(
             "ALTER TABLE {table} RENAME TO other; CREATE VIEW {table} AS WITH RECURSIVE n(i) AS
              (SELECT 0 UNION ALL SELECT i + 1 FROM n) SELECT {columns} FROM other, n;"
@@ -28,7 +28,7 @@ fn endless_views_are_aborted() {
 
 #[test]
 fn rejects_more_values_than_a_file_can_contain() {
-    let made = Made::new();
+    let made = NuplanLog::new();
     made.sql(
         "ALTER TABLE scenario_tag RENAME TO other; CREATE VIEW scenario_tag AS
          SELECT token, lidar_pc_token, hex(zeroblob(300000)) AS type FROM other;",
@@ -87,7 +87,7 @@ fn rejects_times_of_other_millennia() {
             assert!(message.to_string().contains("a thousand years from 1970"), "{message}");
         }
     }
-    let made = Made::new();
+    let made = NuplanLog::new();
     made.sql("UPDATE lidar_pc SET timestamp = -9223372036854775808 WHERE rowid = 1");
     made.refuses(&["microseconds within a thousand years of 1970 as timestamp"]);
 }

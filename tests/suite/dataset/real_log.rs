@@ -21,8 +21,13 @@ fn single_sweeps() -> Option<(NuScenes, Vec<Skeleton>, TempDir)> {
     let options = BuildOptions { voxel_m: 0.0, ..BuildOptions::default() };
     let all: Vec<usize> = (0..drive.recording().frames.len()).collect();
     let folder = tempfile::tempdir().unwrap();
-    let skeleton = |kept: usize| {
-        skeleton_of(&folder.path().join(kept.to_string()), &WithLog::grey(&drive, &[kept]), &all, &options)
+    let skeleton = |retained: usize| {
+        skeleton_of(
+            &folder.path().join(retained.to_string()),
+            &WithLog::grey(&drive, &[retained]),
+            &all,
+            &options,
+        )
     };
     let built = FRAMES.map(skeleton);
     Some((drive, built.into(), folder))

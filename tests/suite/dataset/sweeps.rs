@@ -6,7 +6,7 @@ use std::sync::Arc;
 use point_skeleton::dataset::nuscenes::read_sweep_file;
 use point_skeleton::dataset::{LogReader, Sweep};
 use pskel_testing::av2_log::{self, TinyAv2};
-use pskel_testing::nuplan_log::{Made, sweep_file};
+use pskel_testing::nuplan_log::{NuplanLog, sweep_file};
 
 fn bytes(values: impl IntoIterator<Item = f32>) -> Vec<u8> {
     values.into_iter().flat_map(f32::to_le_bytes).collect()
@@ -15,7 +15,7 @@ fn bytes(values: impl IntoIterator<Item = f32>) -> Vec<u8> {
 /// A file that was cut off, and filled with zeros behind its header.
 #[test]
 fn headers_without_points_are_damaged_files() {
-    let made = Made::new();
+    let made = NuplanLog::new();
     let path = made.blob(&sweep_file(0));
     let mut bytes = std::fs::read(&path).unwrap();
     let end = b"DATA binary\n";

@@ -15,21 +15,21 @@ pub(super) trait Frames {
     fn begin(&mut self, frame: usize) -> Result<(), Error>;
 
     /// Finishes the oldest begun frame.
-    fn finish(&mut self) -> Result<Drawn<'_>, Error>;
+    fn finish(&mut self) -> Result<FrameOutput<'_>, Error>;
 
     /// Returns the rasterizer, for stage times and device information.
     fn rasterizer(&mut self) -> &mut dyn Rasterizer;
 }
 
 /// Output of a finished frame.
-pub(super) enum Drawn<'r> {
+pub(super) enum FrameOutput<'r> {
     /// Maps of the rasterizer.
     Maps(FrameMaps<'r>),
     /// Maps of a whole step.
     Step(ConditionSet),
 }
 
-impl Drawn<'_> {
+impl FrameOutput<'_> {
     /// Returns the number of pixels with a finite depth.
     pub(super) fn filled(&self) -> u64 {
         let count = |depth_m: &[f32]| depth_m.iter().filter(|depth| depth.is_finite()).count() as u64;
@@ -61,8 +61,8 @@ impl Frames for Jobs<'_> {
         Ok(self.rasterizer.begin(&self.jobs[frame])?)
     }
 
-    fn finish(&mut self) -> Result<Drawn<'_>, Error> {
-        Ok(Drawn::Maps(self.rasterizer.finish()?))
+    fn finish(&mut self) -> Result<FrameOutput<'_>, Error> {
+        Ok(FrameOutput::Maps(self.rasterizer.finish()?))
     }
 
     fn rasterizer(&mut self) -> &mut dyn Rasterizer {
@@ -90,8 +90,8 @@ impl Frames for Steps<'_, '_> {
         self.renderer.begin(self.states[frame])
     }
 
-    fn finish(&mut self) -> Result<Drawn<'_>, Error> {
-        Ok(Drawn::Step(self.renderer.finish()?.set))
+    fn finish(&mut self) -> Result<FrameOutput<'_>, Error> {
+        Ok(FrameOutput::Step(self.renderer.finish()?.set))
     }
 
     fn rasterizer(&mut self) -> &mut dyn Rasterizer {

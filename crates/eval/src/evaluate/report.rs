@@ -65,13 +65,16 @@ impl ScoredRollout {
         let mut notes = Vec::new();
         let mut note = |text: String| notes.push(format!("{text}: {}", self.folder));
         if steps_with_truth < steps {
-            note(format!("the truth of {} of {steps} steps is not known", steps - steps_with_truth));
+            note(format!("{} of {steps} steps have no ground truth", steps - steps_with_truth));
         }
         if *equal_images > 0 {
-            note(format!("{equal_images} images equal the truth and have no PSNR"));
+            note(format!("{equal_images} images equal the ground truth and have no PSNR"));
         }
         if motion.is_none() {
-            note("no motion: two steps in a row need truth and instance maps as PNG".to_owned());
+            note(
+                "no motion: requires ground truth and instance maps of two consecutive steps as PNG"
+                    .to_owned(),
+            );
         }
         if iou.values().any(|iou| iou.generated.is_none()) {
             note("no IoU: it needs class maps as PNG, and vehicles in these or in the masks".to_owned());

@@ -17,7 +17,8 @@ pub enum Protocol {
 }
 
 named!(Protocol, "protocol" {
-    NuplanSimgen => "nuplan-simgen", "Ten nuPlan logs: clips of 20 frames at 5 Hz, and three policies that leave the log";
+    NuplanSimgen => "nuplan-simgen",
+        "Ten nuPlan logs: clips of 20 frames at 5 Hz, and three policies that leave the log";
     NuscenesVal => "nuscenes-val",
         "150 scenes of nuScenes: 24 frames at 6 Hz, 16 at 2 Hz with a copy of the data set, 100 at 6 Hz";
     LaneChange => "lane-change", "Any logs: 10 s that follow the log, and with a lane change";

@@ -140,7 +140,7 @@ impl Logs {
                 format!("All {defined} logs of the protocol.")
             }
             Self { defined, present, other } => {
-                format!("Not the protocol: {present} of its {defined} logs, {other} others.")
+                format!("Not comparable with the protocol: {present} of its {defined} logs, {other} others.")
             }
         }
     }
@@ -177,7 +177,7 @@ mod tests {
         let sentence = |defined, present, other| Logs { defined, present, other }.sentence();
         assert_eq!([sentence(0, 0, 1), sentence(0, 0, 3)], ["One log.", "3 logs."]);
         assert_eq!(sentence(10, 10, 0), "All 10 logs of the protocol.");
-        assert_eq!(sentence(10, 9, 0), "Not the protocol: 9 of its 10 logs, 0 others.");
-        assert_eq!(sentence(10, 10, 1), "Not the protocol: 10 of its 10 logs, 1 others.");
+        assert_eq!(sentence(10, 9, 0), "Not comparable with the protocol: 9 of its 10 logs, 0 others.");
+        assert_eq!(sentence(10, 10, 1), "Not comparable with the protocol: 10 of its 10 logs, 1 others.");
     }
 }

@@ -62,10 +62,10 @@ impl ScoredFrame<'_> {
     /// Checks that all inputs have these sizes, width and height per camera.
     pub(super) fn check(&self, sizes: &[(u32, u32)]) -> Result<(), ScoreError> {
         check_images("generated images", self.generated, sizes)?;
-        check_images("true images", self.truth.unwrap_or(self.generated), sizes)?;
+        check_images("ground-truth images", self.truth.unwrap_or(self.generated), sizes)?;
         check_maps("class maps", self.class, sizes)?;
         check_maps("masks of moving actors", self.moving, sizes)?;
-        check_maps("a segmentor's masks", self.masks, sizes)
+        check_maps("external vehicle masks", self.masks, sizes)
     }
 }
 

@@ -120,7 +120,7 @@ fn rejects_size_changes() {
     let small = [images[0].clone(), RgbImage::new(8, 4)];
     assert_eq!(
         message(ScoredFrame { truth: Some(&small), ..frame }),
-        "expected true images of 16x28 pixels for camera 1, found 4x8"
+        "expected ground-truth images of 16x28 pixels for camera 1, found 4x8"
     );
     let class = [vec![0; 448], vec![0; 447]];
     assert_eq!(
@@ -129,7 +129,7 @@ fn rejects_size_changes() {
     );
     assert_eq!(
         message(ScoredFrame { masks: Some(&masks[..1]), ..frame }),
-        "expected a segmentor's masks of 2 cameras, found 1"
+        "expected external vehicle masks of 2 cameras, found 1"
     );
     assert_eq!(scores.finish().steps, 1);
 }

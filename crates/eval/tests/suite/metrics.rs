@@ -121,8 +121,8 @@ fn vehicle_masks_match_the_town() {
         for seen in town().truth(frame.t_us, &views).unwrap() {
             let truth: Vec<bool> = seen.class.iter().map(|class| *class == VEHICLE_CLASS).collect();
             let is_kept = |i: usize| point_skeleton::hash::unit(1, &[i as i64]) < 0.4;
-            let kept = |(i, class): (usize, &u8)| if is_kept(i) { *class } else { 0 };
-            let few: Vec<u8> = seen.class.iter().enumerate().map(kept).collect();
+            let retained = |(i, class): (usize, &u8)| if is_kept(i) { *class } else { 0 };
+            let few: Vec<u8> = seen.class.iter().enumerate().map(retained).collect();
             dense.add_masks(&vehicle_mask(&seen.class, 112), &truth);
             sparse.add_masks(&vehicle_mask(&few, 112), &truth);
             points.add_maps((&few, |class| *class == VEHICLE_CLASS), (&truth, |is| *is));

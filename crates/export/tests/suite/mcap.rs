@@ -31,9 +31,9 @@ const START: DVec3 = DVec3::new(664_430.25, 3_997_650.5, 606.0);
 const NOWHERE: &str = "made";
 
 /// A log in memory: the ego drives along x behind a car, and the cone is gone in the last frame.
-struct Made(Recording);
+struct NuplanLog(Recording);
 
-impl Made {
+impl NuplanLog {
     fn new() -> Self {
         let track = |(id, category): (&str, &str)| Track {
             id: id.to_owned(),
@@ -99,7 +99,7 @@ fn frame(index: usize) -> Frame {
     }
 }
 
-impl LogReader for Made {
+impl LogReader for NuplanLog {
     fn recording(&self) -> &Recording {
         &self.0
     }
@@ -123,13 +123,13 @@ static FORMAT: LogFormat = LogFormat {
     check: LogFormat::unchecked,
     expand: |locator| Ok(vec![locator.clone()]),
     outline: LogFormat::outline_by_opening,
-    open: |_, _| Ok(Box::new(Made::new())),
+    open: |_, _| Ok(Box::new(NuplanLog::new())),
 };
 
 /// Exports the log, two frames per shard.
 fn run(folder: &Path, name: &str, layout: Layout, maps: MapSet) {
     let locator = LogLocator::new(&FORMAT, NOWHERE);
-    let outline = LogOutline { name: Made::new().0.name, frames: FRAMES };
+    let outline = LogOutline { name: NuplanLog::new().0.name, frames: FRAMES };
     let list = WorkList::new([(locator, outline)], 2, None).unwrap();
     let out_size = Some(ImageSize { height: 20, width: 30 });
     let options = ExportOptions {
@@ -152,7 +152,7 @@ fn run(folder: &Path, name: &str, layout: Layout, maps: MapSet) {
         out: &folder.join(name),
         skeletons: &folder.join("skeletons"),
         options: &options,
-        open: &|_| Ok(point_skeleton::Log::new(Box::new(Made::new()))),
+        open: &|_| Ok(point_skeleton::Log::new(Box::new(NuplanLog::new()))),
         rasterizer: &RasterizerKind::Cpu.into(),
         jobs: 1,
         verify: false,
@@ -192,7 +192,7 @@ fn mcap_matches_the_frames_layout() {
     run(folder, "frames", Layout::Frames, MapSet::of(&MAPS));
     run(folder, "mcap", Layout::Mcap, MapSet::of(&MAPS).with(MapKind::Tensor));
     run(folder, "again", Layout::Mcap, MapSet::of(&MAPS).with(MapKind::Tensor));
-    let log = Made::new().0;
+    let log = NuplanLog::new().0;
     let mut images = 0;
     for (shard, frames) in [("made_up-000000", 0..2), ("made_up-000002", 2..3)] {
         let bytes = std::fs::read(folder.join(format!("mcap/{shard}.mcap"))).unwrap();

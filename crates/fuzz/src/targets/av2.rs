@@ -17,11 +17,11 @@ use point_skeleton::dataset::{LogLocator, LogReader};
 use serde_json::Value;
 
 use super::{LARGE, Scratch, edit_seeds, seed};
-use crate::check::{check_map, dataset, told, told_within};
+use crate::check::{assert_names_file, assert_names_file_in, check_map, dataset};
 use crate::choices::Choices;
 use crate::edits::json_file;
 use crate::folder::Folder;
-use crate::made::Made;
+use crate::synthetic_log::SyntheticLog;
 use crate::{Memory, Seed, Target};
 use pskel_testing::av2_log::{Columns, LOG_ID, TinyAv2, map as map_json, read, sweep};
 
@@ -36,7 +36,8 @@ pub(super) const TARGETS: [Target; 3] = [
 
 thread_local! {
     static LOG: RefCell<Folder> = RefCell::new(log());
-    static MAP: RefCell<(Scratch, Value, Made)> = RefCell::new((Scratch::new(), map_json(), Made::new(3)));
+    static MAP: RefCell<(Scratch, Value, SyntheticLog)> =
+        RefCell::new((Scratch::new(), map_json(), SyntheticLog::new(3)));
 }
 
 fn names() -> [String; 5] {
@@ -52,17 +53,17 @@ fn names() -> [String; 5] {
 
 /// Returns a log whose sweeps have few points.
 fn log() -> Folder {
-    let made = TinyAv2::new();
-    let path = made.path(&sweep(0));
+    let synthetic = TinyAv2::new();
+    let path = synthetic.path(&sweep(0));
     let few = read(&path).into_iter().map(|(name, values)| (name, values.slice(0, 20))).collect();
     write(&path, few, Some(CompressionType::ZSTD), 1).expect("a sweep to write");
-    Folder::copy_of(made.root())
+    Folder::copy_of(synthetic.root())
 }
 
 fn open(folder: &Folder, data: &[u8]) {
     match Argoverse::open(&LogLocator::new(&point_skeleton::dataset::av2::FORMAT, folder.path(LOG_ID))) {
         Ok(log) => dataset(&log, folder.root(), data),
-        Err(error) => told_within(error, folder.root(), data),
+        Err(error) => assert_names_file_in(error, folder.root(), data),
     }
 }
 
@@ -174,11 +175,11 @@ fn change(columns: &mut Columns, choices: &mut Choices<'_>) {
 }
 
 fn map(data: &[u8]) {
-    MAP.with_borrow_mut(|(scratch, base, made)| {
+    MAP.with_borrow_mut(|(scratch, base, synthetic)| {
         let path = scratch.put("map.json", &json_file(data, base));
         match read_map_file(&path, "PIT") {
-            Ok(map) => check_map(&map, made.recording()),
-            Err(error) => told(error, &path, data),
+            Ok(map) => check_map(&map, synthetic.recording()),
+            Err(error) => assert_names_file(error, &path, data),
         }
     });
 }

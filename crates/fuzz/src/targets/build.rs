@@ -10,16 +10,16 @@ use point_skeleton::skeleton::{BuildError, BuildInput, BuildOptions, BuildRun, b
 use serde_json::Value;
 
 use super::{LARGE, edit_seeds, edited, seed};
-use crate::check::told_within;
+use crate::check::assert_names_file_in;
 use crate::folder::Folder;
-use crate::made::Made;
+use crate::synthetic_log::SyntheticLog;
 use crate::{Seed, Target};
 
 pub(super) const TARGETS: [Target; 1] =
     [Target { name: "build", run: resume, seeds, max_len: 512, memory: LARGE }];
 
 /// A log whose last image cannot be read: a build fails after the checkpoints of all earlier frames.
-struct Broken(Made);
+struct Broken(SyntheticLog);
 
 impl LogReader for Broken {
     fn recording(&self) -> &Recording {
@@ -45,7 +45,7 @@ struct Unfinished {
     folder: Folder,
     /// Names of its files.
     files: Vec<String>,
-    made: Made,
+    synthetic: SyntheticLog,
 }
 
 thread_local! {
@@ -59,7 +59,7 @@ fn options() -> BuildOptions {
     BuildOptions { voxel_m: 0.5, color_window: 0, occlusion_window: 0, ..BuildOptions::default() }
 }
 
-fn go_on(out: PathBuf, dataset: &dyn LogReader) -> Result<(), BuildError> {
+fn run_resumed(out: PathBuf, dataset: &dyn LogReader) -> Result<(), BuildError> {
     let run = BuildRun { resume: true, checkpoint_frames: 1, ..BuildRun::default() };
     build(&out, &[BuildInput::all(dataset)], &options(), &|_| Ok(Vec::new()), &run).map(|_| ())
 }
@@ -67,11 +67,11 @@ fn go_on(out: PathBuf, dataset: &dyn LogReader) -> Result<(), BuildError> {
 impl Unfinished {
     fn new() -> Self {
         let folder = tempfile::tempdir().expect("a temporary folder");
-        let stopped = go_on(folder.path().join(OUT), &Broken(Made::new(3)));
+        let stopped = run_resumed(folder.path().join(OUT), &Broken(SyntheticLog::new(3)));
         assert!(matches!(stopped, Err(BuildError::Interrupted { frames: 2, .. })), "{stopped:?}");
         let folder = Folder::copy_of(folder.path());
         let files = folder.names();
-        Self { folder, files, made: Made::new(3) }
+        Self { folder, files, synthetic: SyntheticLog::new(3) }
     }
 
     /// Changes the file selected by the first byte: JSON by edits, checksums by positions (one byte), each
@@ -99,8 +99,8 @@ fn resume(data: &[u8]) {
         unfinished.folder.rewrite();
         unfinished.change(data);
         let out = unfinished.folder.path(OUT);
-        if let Err(error) = go_on(out.clone(), &unfinished.made) {
-            told_within(error, unfinished.folder.root(), data);
+        if let Err(error) = run_resumed(out.clone(), &unfinished.synthetic) {
+            assert_names_file_in(error, unfinished.folder.root(), data);
         }
         let _ = std::fs::remove_dir_all(out); // if the build succeeded
     });

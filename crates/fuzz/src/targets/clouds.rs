@@ -10,7 +10,7 @@ use point_skeleton::geometry::{Camera, View};
 use serde_json::Value;
 
 use super::{SMALL, Scratch, seed};
-use crate::check::told;
+use crate::check::assert_names_file;
 use crate::edits::json_file;
 use crate::{Seed, Target};
 
@@ -34,7 +34,7 @@ fn file(name: &str, data: &[u8]) -> PathBuf {
 fn sweep_bin(data: &[u8]) {
     let path = file("a.pcd.bin", data);
     match nuscenes::read_sweep_file(&path) {
-        Err(error) => told(error, &path, data),
+        Err(error) => assert_names_file(error, &path, data),
         Ok(sweep) => {
             // Rows of four columns and PCD files are recognized too.
             let is_plain =
@@ -74,10 +74,12 @@ fn sweep_pcd(data: &[u8]) {
         }
         (Err(check), Err(parse)) => {
             assert_eq!(check.to_string(), parse.to_string());
-            told(parse, &path, data);
+            assert_names_file(parse, &path, data);
         }
         // The check does not decode points, and their coordinates may not be finite or all be zero.
-        (Ok(_), Err(parse)) if is_of_points(data, &parse.to_string()) => told(parse, &path, data),
+        (Ok(_), Err(parse)) if is_of_points(data, &parse.to_string()) => {
+            assert_names_file(parse, &path, data)
+        }
         (check, parse) => panic!("{check:?} but {parse:?}"),
     }
 }
@@ -152,7 +154,7 @@ fn ply_seeds() -> Vec<Seed> {
 /// Reads a cloud, writes it, and reads it again.
 fn points<E: std::fmt::Debug>(path: &Path, data: &[u8], write: impl Fn(&Path, &[Point]) -> Result<(), E>) {
     let cloud = match cloud::read(path) {
-        Err(error) => return told(error, path, data),
+        Err(error) => return assert_names_file(error, path, data),
         Ok(cloud) => cloud,
     };
     let lost = cloud.points.iter().filter(|p| p.position.iter().any(|v| v.is_nan())).count();
@@ -176,7 +178,7 @@ fn some_points() -> Vec<Point> {
 fn features(data: &[u8]) {
     let path = file("f.npy", data);
     match npy::read_features(&path) {
-        Err(error) => told(error, &path, data),
+        Err(error) => assert_names_file(error, &path, data),
         Ok((columns, values)) => {
             assert!(columns > 0 && values.len().is_multiple_of(columns) && 4 * values.len() <= data.len());
         }
@@ -196,7 +198,7 @@ fn read_cameras(data: &[u8]) {
     let path = file("c.json", &json_file(data, &cameras_json()));
     match cameras::read(&path) {
         // All these errors end with the file's name.
-        Err(error) => told(error, &path, data),
+        Err(error) => assert_names_file(error, &path, data),
         Ok(views) => {
             assert!(!views.is_empty());
             cameras::write(&path, &views).expect("cameras to write");

@@ -15,14 +15,14 @@ use pskel_export::{
 use serde_json::Value;
 
 use super::{LARGE, edit_seeds, seed};
-use crate::check::{short, told_within};
+use crate::check::{assert_names_file_in, short};
 use crate::edits::json_file;
 use crate::folder::Folder;
-use crate::made::Made;
+use crate::synthetic_log::SyntheticLog;
 use crate::{Seed, Target};
 
 pub(super) const TARGETS: [Target; 1] =
-    [Target { name: "export", run: go_on, seeds, max_len: 4096, memory: LARGE }];
+    [Target { name: "export", run: run_resumed, seeds, max_len: 4096, memory: LARGE }];
 
 const FRAMES: usize = 2;
 /// A file beside the export, which records must not reach.
@@ -67,7 +67,7 @@ fn run(root: &Path, list: &WorkList, verify: bool) -> Result<ExportReport, Expor
         out: &root.join("out"),
         skeletons: &root.join("skeletons"),
         options: &options(),
-        open: &|_| Ok(Log::new(Box::new(Made::new(FRAMES)))),
+        open: &|_| Ok(Log::new(Box::new(SyntheticLog::new(FRAMES)))),
         rasterizer: &RasterizerDesc::from(RasterizerKind::Cpu),
         jobs: 1,
         verify,
@@ -90,7 +90,7 @@ impl Complete {
 
 /// Edits the file that the first byte selects, then continues the export; an odd second byte compares
 /// checksums.
-fn go_on(data: &[u8]) {
+fn run_resumed(data: &[u8]) {
     COMPLETE.with_borrow_mut(|Complete { folder, list }| {
         let (head, edits) = data.split_at(data.len().min(2));
         let [number, verify] = [head.first(), head.get(1)].map(|byte| byte.copied().unwrap_or(1));
@@ -99,7 +99,7 @@ fn go_on(data: &[u8]) {
         folder.rewrite();
         folder.put(name, &json_file(edits, &base));
         match run(folder.root(), list, verify % 2 == 1) {
-            Err(error) => told_within(error, folder.root(), data),
+            Err(error) => assert_names_file_in(error, folder.root(), data),
             Ok(report) => {
                 report.failures.iter().for_each(|failure| short(&failure.error, data));
                 // Finished shards have the bytes of an export that was not interrupted.

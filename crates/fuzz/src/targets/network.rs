@@ -16,8 +16,8 @@ use serde_json::{Value, json};
 
 use super::clouds::written;
 use super::{LARGE, SMALL, Scratch, edit_seeds, edited, seed};
-use crate::check::{short, told};
-use crate::made::Made;
+use crate::check::{assert_names_file, short};
+use crate::synthetic_log::SyntheticLog;
 use crate::{Seed, Target};
 
 pub(super) const TARGETS: [Target; 4] = [
@@ -143,7 +143,7 @@ fn weights(data: &[u8]) {
     STORED.with_borrow(|stored| {
         let path = stored.scratch.put("weights.safetensors", &file(data, &stored.weights, "network"));
         let weights = match Weights::open(&path) {
-            Err(error) => return told(error, &path, data),
+            Err(error) => return assert_names_file(error, &path, data),
             Ok(weights) => weights,
         };
         weights.write(&path).expect("weights to write");
@@ -202,7 +202,7 @@ fn drive(data: &[u8]) {
     STORED.with_borrow(|stored| {
         let path = stored.scratch.put("drive.safetensors", &file(data, &stored.drive, "drive"));
         let drive = match TrainingClip::open(&path) {
-            Err(error) => return told(error, &path, data),
+            Err(error) => return assert_names_file(error, &path, data),
             Ok(drive) => drive,
         };
         let encoder = drive.encoder();
@@ -245,8 +245,8 @@ type Toys = Generator<LinearDenoiser, GaussianNoise>;
 
 /// Returns a committed condition; only a rollout can commit one.
 fn committed() -> Committed<Latent> {
-    let made = Made::new(2);
-    let scenario = Scenario { log: made.recording(), map: None, rates: Rates::default() };
+    let synthetic = SyntheticLog::new(2);
+    let scenario = Scenario { log: synthetic.recording(), map: None, rates: Rates::default() };
     let rollout = Simulation::new(&scenario, SimOptions::default()).expect("a rollout");
     rollout.committed().map(|_| Latent::filled(SHAPE, 0.25))
 }
@@ -274,8 +274,8 @@ fn cache(data: &[u8]) {
     match Toys::resume(LinearDenoiser { shape: SHAPE }, GaussianNoise { seed: 1 }, options(), cache, shown) {
         Err(error) => short(&error.to_string(), data),
         Ok(mut generator) => {
-            let made = generator.step(committed(), &[]).expect("a frame");
-            assert_eq!(made.shape(), SHAPE);
+            let synthetic = generator.step(committed(), &[]).expect("a frame");
+            assert_eq!(synthetic.shape(), SHAPE);
         }
     }
 }

@@ -9,11 +9,11 @@ use rusqlite::types::Value;
 use rusqlite::{Connection, params_from_iter};
 
 use super::{LARGE, seed};
-use crate::check::{dataset, told, told_within};
+use crate::check::{assert_names_file, assert_names_file_in, dataset};
 use crate::choices::Choices;
 use crate::folder::Folder;
 use crate::{Seed, Target};
-use pskel_testing::nuplan_log::{LOG, MAP, Made};
+use pskel_testing::nuplan_log::{LOG, MAP, NuplanLog};
 
 pub(super) const TARGETS: [Target; 5] = [
     Target { name: "nuplan_pages", run: pages, seeds: page_seeds, max_len: 65_536, memory: LARGE },
@@ -42,14 +42,14 @@ thread_local! {
 }
 
 fn data_set() -> DataSet {
-    let made = Made::new();
+    let nuplan = NuplanLog::new();
     for statements in
         ["DELETE FROM lidar_box WHERE rowid > 3", "DELETE FROM image WHERE rowid > 3", SMALL_PAGES]
     {
-        made.sql(statements);
+        nuplan.sql(statements);
     }
-    made.map_sql(SMALL_PAGES);
-    let folder = Folder::copy_of(&made.path(""));
+    nuplan.map_sql(SMALL_PAGES);
+    let folder = Folder::copy_of(&nuplan.path(""));
     let database = format!("nuplan-v1.1/splits/mini/{LOG}.db");
     DataSet { folder, database, map: format!("maps/{MAP}/1.0/map.gpkg") }
 }
@@ -70,7 +70,7 @@ impl DataSet {
     fn open(&self, data: &[u8]) {
         match NuPlan::open(&self.locator()) {
             Ok(set) => dataset(&set, self.folder.root(), data),
-            Err(error) => told(error, &self.folder.path(&self.database), data),
+            Err(error) => assert_names_file(error, &self.folder.path(&self.database), data),
         }
     }
 
@@ -78,7 +78,7 @@ impl DataSet {
         let set = NuPlan::open(&self.locator()).expect("a whole log");
         match set.read_map() {
             Ok(map) => crate::check::check_map(&map.expect("a map of ours"), set.recording()),
-            Err(error) => told_within(error, self.folder.root(), data),
+            Err(error) => assert_names_file_in(error, self.folder.root(), data),
         }
     }
 }

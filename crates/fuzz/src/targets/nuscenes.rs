@@ -9,10 +9,10 @@ use point_skeleton::dataset::{
 use serde_json::{Map, Value};
 
 use super::{LARGE, Scratch, edited, seed};
-use crate::check::{check_map, dataset, told, told_within};
+use crate::check::{assert_names_file, assert_names_file_in, check_map, dataset};
 use crate::edits::json_file;
 use crate::folder::Folder;
-use crate::made::{self, Made};
+use crate::synthetic_log::{self, SyntheticLog};
 use crate::{Seed, Target};
 
 pub(super) const TARGETS: [Target; 3] = [
@@ -39,7 +39,8 @@ const TABLES: [&str; 13] = [
 
 thread_local! {
     static DATA_SET: RefCell<(Folder, Value)> = RefCell::new(data_set());
-    static MAP: RefCell<(Scratch, Value, Made)> = RefCell::new((Scratch::new(), map_json(), Made::new(3)));
+    static MAP: RefCell<(Scratch, Value, SyntheticLog)> =
+        RefCell::new((Scratch::new(), map_json(), SyntheticLog::new(3)));
 }
 
 fn file(table: &str) -> String {
@@ -49,7 +50,7 @@ fn file(table: &str) -> String {
 /// Returns the data set, and its tables in one object.
 fn data_set() -> (Folder, Value) {
     let folder = tempfile::tempdir().expect("a temporary folder");
-    write_log(folder.path(), "v1.0-mini", &Made::new(2)).expect("a data set");
+    write_log(folder.path(), "v1.0-mini", &SyntheticLog::new(2)).expect("a data set");
     let folder = Folder::copy_of(folder.path());
     let table = |name: &str| serde_json::from_slice(folder.base(&file(name))).expect("JSON");
     let tables: Map<String, Value> = TABLES.iter().map(|name| ((*name).to_owned(), table(name))).collect();
@@ -60,10 +61,10 @@ fn open(folder: &Folder, data: &[u8]) {
     let locator = LogLocator::new(&point_skeleton::dataset::nuscenes::FORMAT, folder.root());
     match NuScenes::open(&locator) {
         Ok(set) => dataset(&set, folder.root(), data),
-        Err(error) => told_within(error, folder.root(), data),
+        Err(error) => assert_names_file_in(error, folder.root(), data),
     }
     if let Err(error) = expand(&LogLocator { scene: Some("*".into()), ..locator }) {
-        told_within(error, folder.root(), data);
+        assert_names_file_in(error, folder.root(), data);
     }
 }
 
@@ -101,17 +102,17 @@ fn edit_seeds() -> Vec<Seed> {
 }
 
 fn map(data: &[u8]) {
-    MAP.with_borrow_mut(|(scratch, base, made)| {
+    MAP.with_borrow_mut(|(scratch, base, synthetic)| {
         let path = scratch.put("nowhere.json", &json_file(data, base));
         match read_map_file(&path, "nowhere") {
-            Ok(map) => check_map(&map, made.recording()),
-            Err(error) => told(error, &path, data),
+            Ok(map) => check_map(&map, synthetic.recording()),
+            Err(error) => assert_names_file(error, &path, data),
         }
     });
 }
 
 /// The synthetic log, with a map.
-struct Mapped(Made);
+struct Mapped(SyntheticLog);
 
 impl LogReader for Mapped {
     fn recording(&self) -> &Recording {
@@ -127,7 +128,7 @@ impl LogReader for Mapped {
     }
 
     fn read_map(&self) -> Result<Option<VectorMap>, DatasetError> {
-        Ok(Some(made::map()))
+        Ok(Some(synthetic_log::map()))
     }
 }
 
@@ -135,7 +136,7 @@ fn map_json() -> Value {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let layers = MapLayers::default();
     let writer = LogWriter { version: "v1.0-mini", map: Some(&layers), frame_done: &|_| () };
-    writer.write(folder.path(), &Mapped(Made::new(1))).expect("a data set");
+    writer.write(folder.path(), &Mapped(SyntheticLog::new(1))).expect("a data set");
     let text = std::fs::read(folder.path().join("maps/expansion/nowhere.json")).expect("a map");
     serde_json::from_slice(&text).expect("JSON")
 }

@@ -19,7 +19,7 @@ use safetensors::tensor::{Dtype, TensorView, serialize};
 
 use super::{LARGE, Scratch, seed};
 use crate::check::short;
-use crate::made::Made;
+use crate::synthetic_log::SyntheticLog;
 use crate::{Seed, Target};
 
 pub(super) const TARGETS: [Target; 2] = [
@@ -90,7 +90,7 @@ fn read_counted(reader: &mut BufReader<UnixStream>) -> std::io::Result<()> {
 }
 
 thread_local! {
-    static PLANNER: (Server, Made) = (Server::start(read_line), Made::new(20));
+    static PLANNER: (Server, SyntheticLog) = (Server::start(read_line), SyntheticLog::new(20));
     static DENOISER: RefCell<Server> = RefCell::new(Server::start(read_counted));
 }
 
@@ -98,14 +98,14 @@ const HELLO: &[u8] = b"{\"protocol\": \"pskel-planner\", \"version\": 1}\n";
 
 /// Sends the input's lines as answers; after a first byte of 0, a valid hello comes first.
 fn planner(data: &[u8]) {
-    PLANNER.with(|(server, made)| {
+    PLANNER.with(|(server, synthetic)| {
         let mut answers = Vec::new();
         let lines = data.strip_prefix(&[0]).inspect(|_| answers.push(HELLO.to_vec())).unwrap_or(data);
         answers.extend(lines.split_inclusive(|byte| *byte == b'\n').take(6).map(<[u8]>::to_vec));
         let ego = EgoPolicy::External(server.next(answers));
         let rates = Some(10.0);
         let options = SimOptions { steps: 5, sim_hz: rates, plan_hz: rates, ego, ..SimOptions::default() };
-        let scenario = Scenario { log: made.recording(), map: None, rates: Rates::default() };
+        let scenario = Scenario { log: synthetic.recording(), map: None, rates: Rates::default() };
         let error = match Simulation::new(&scenario, options) {
             Err(error) => Some(error),
             Ok(mut sim) => std::iter::repeat_with(|| sim.step()).take(6).find_map(Result::err),

@@ -8,7 +8,7 @@ use image::{DynamicImage, ImageFormat, Rgb, RgbImage};
 use point_skeleton::dataset::{picture_size, read_picture};
 
 use super::{Scratch, seed};
-use crate::check::told;
+use crate::check::assert_names_file;
 use crate::{Memory, Seed, Target};
 
 /// An image of 256 x 256 pixels with four 16-bit channels, and its converted copy; JPEG also holds planes.
@@ -22,20 +22,20 @@ thread_local! {
 }
 
 /// Maximum side of images that are decoded here. In use, the camera's size sets the limit, not the file.
-const MOST: u32 = 256;
+const MAX_SIDE: u32 = 256;
 
 fn picture(data: &[u8]) {
     let path = SCRATCH.with_borrow(|scratch| scratch.put("a.jpg", data));
     let (height, width) = match picture_size(&path) {
-        Err(error) => return told(error, &path, data),
+        Err(error) => return assert_names_file(error, &path, data),
         Ok(size) => size,
     };
     // If the size differs from the camera's, nothing is decoded.
     let other = read_picture(&path, height.wrapping_add(1), width).expect_err("a picture of another size");
-    told(other, &path, data);
-    if height <= MOST && width <= MOST {
+    assert_names_file(other, &path, data);
+    if height <= MAX_SIDE && width <= MAX_SIDE {
         match read_picture(&path, height, width) {
-            Err(error) => told(error, &path, data),
+            Err(error) => assert_names_file(error, &path, data),
             Ok(image) => assert_eq!(image.dimensions(), (width, height)),
         }
     }

@@ -9,9 +9,9 @@ use serde_json::Value;
 
 use super::clouds::written;
 use super::{LARGE, SMALL, Scratch, edit_seeds, seed};
-use crate::check::{short, told};
+use crate::check::{assert_names_file, short};
 use crate::edits::json_file;
-use crate::made::Made;
+use crate::synthetic_log::SyntheticLog;
 use crate::{Seed, Target};
 
 pub(super) const TARGETS: [Target; 2] = [
@@ -22,7 +22,7 @@ pub(super) const TARGETS: [Target; 2] = [
 const FRAMES: usize = 20;
 
 thread_local! {
-    static SAVED: RefCell<(Made, Value)> = RefCell::new((Made::new(FRAMES), saved()));
+    static SAVED: RefCell<(SyntheticLog, Value)> = RefCell::new((SyntheticLog::new(FRAMES), saved()));
     static ROWS: RefCell<(Scratch, Value)> = RefCell::new((Scratch::new(), row(0)));
 }
 
@@ -39,13 +39,13 @@ fn options() -> SimOptions {
     }
 }
 
-fn scenario(made: &Made) -> Scenario<'_> {
-    Scenario { log: made.recording(), map: None, rates: Rates::default() }
+fn scenario(synthetic: &SyntheticLog) -> Scenario<'_> {
+    Scenario { log: synthetic.recording(), map: None, rates: Rates::default() }
 }
 
 fn saved() -> Value {
-    let made = Made::new(FRAMES);
-    let mut sim = Simulation::new(&scenario(&made), options()).expect("a rollout");
+    let synthetic = SyntheticLog::new(FRAMES);
+    let mut sim = Simulation::new(&scenario(&synthetic), options()).expect("a rollout");
     for _ in 0..6 {
         sim.step().expect("a step");
     }
@@ -53,12 +53,12 @@ fn saved() -> Value {
 }
 
 fn saved_state(data: &[u8]) {
-    SAVED.with_borrow(|(made, base)| {
+    SAVED.with_borrow(|(synthetic, base)| {
         let saved: SavedState = match serde_json::from_slice(&json_file(data, base)) {
             Ok(saved) => saved,
             Err(_) => return,
         };
-        let scenario = scenario(made);
+        let scenario = scenario(synthetic);
         if let Err(error) = saved.committed(&scenario, &options()) {
             short(&error.to_string(), data);
         }
@@ -89,12 +89,12 @@ fn saved_seeds() -> Vec<Seed> {
 }
 
 fn rows(count: usize) -> Vec<StepRow> {
-    let made = Made::new(FRAMES);
-    let mut sim = Simulation::new(&scenario(&made), options()).expect("a rollout");
+    let synthetic = SyntheticLog::new(FRAMES);
+    let mut sim = Simulation::new(&scenario(&synthetic), options()).expect("a rollout");
     let mut rows = Vec::new();
     for _ in 0..count {
         rows.push(StepRow::new(
-            made.recording(),
+            synthetic.recording(),
             sim.committed().get(),
             Phase::Policy,
             &StepObservations::default(),
@@ -117,7 +117,7 @@ fn states(data: &[u8]) {
         }
         let path = scratch.put("states.jsonl", &bytes);
         match StateFile::read(&path) {
-            Err(error) => told(error, &path, data),
+            Err(error) => assert_names_file(error, &path, data),
             Ok(rows) => {
                 assert!(rows.iter().enumerate().all(|(number, row)| row.step == number));
                 StateFile::create(&path, &rows).expect("rows to write");

@@ -23,10 +23,10 @@ use pskel_sim::{Committed, Instant, Rates, Scenario, SimOptions, Simulation};
 use serde_json::{Value, json};
 
 use super::{LARGE, edit_seeds, seed};
-use crate::check::{short, told_within};
+use crate::check::{assert_names_file_in, short};
 use crate::edits::json_file;
 use crate::folder::Folder;
-use crate::made::{self, Made};
+use crate::synthetic_log::{self, SyntheticLog};
 use crate::{Seed, Target};
 
 pub(super) const TARGETS: [Target; 3] = [
@@ -108,8 +108,8 @@ fn settings() -> Value {
 
 /// Runs the rollout in a folder, or resumes it, and writes the MCAP file.
 fn roll(root: &Path, skeleton: &Skeleton, after: Option<ResumeAfter>) -> Result<(), RolloutError> {
-    let made = Made::with_images_in(FRAMES, &root.join("data"));
-    let (log, prompt) = (made.recording(), Default::default());
+    let synthetic = SyntheticLog::with_images_in(FRAMES, &root.join("data"));
+    let (log, prompt) = (synthetic.recording(), Default::default());
     let scenario = Scenario { log, map: None, rates: Rates { sim_hz: 10.0, plan_hz: 10.0 } };
     let [log_path, skeleton_path] = [root.join("data"), root.join("skeleton")];
     let paths = InputPaths { log: &log_path, skeleton: &skeleton_path, prompt: None };
@@ -145,7 +145,7 @@ impl Finished {
             let path = root.join(format!("data/samples/{index}.png"));
             RgbImage::new(24, 16).save(path).expect("an image of ours");
         }
-        let skeleton = made::skeleton(&root.join("skeleton"), &Made::new(FRAMES));
+        let skeleton = synthetic_log::skeleton(&root.join("skeleton"), &SyntheticLog::new(FRAMES));
         roll(root, &skeleton, None).expect("a rollout");
         std::fs::write(root.join("protocol.json"), settings().to_string()).expect("a file of ours");
         let folder = Folder::copy_of(root);
@@ -199,7 +199,7 @@ fn score(data: &[u8]) {
         finished.change(data);
         let root = finished.folder.root();
         if let Err(error) = check_settings(&root.join("protocol.json"), &settings()) {
-            told_within(error, root, data);
+            assert_names_file_in(error, root, data);
         }
         let part = Protocol::NuscenesVal.parts().remove(1);
         let parts = [PartRollouts { part, folders: vec![root.join("rollout")], frames: STEPS }];
@@ -215,16 +215,16 @@ fn copy(data: &[u8]) {
     FINISHED.with_borrow_mut(|finished| {
         finished.change(data);
         let root = finished.folder.root();
-        let made = Made::with_images_in(FRAMES, &root.join("data"));
-        let logs = [CopiedLog { log: made.recording(), rollout: &root.join("rollout") }];
+        let synthetic = SyntheticLog::with_images_in(FRAMES, &root.join("data"));
+        let logs = [CopiedLog { log: synthetic.recording(), rollout: &root.join("rollout") }];
         let place = root.join(COPY);
         match DatasetCopy::open(&root.join("data"), &place, None).and_then(|copy| copy.write(&logs)) {
             Err(error) => {
-                told_within(error, root, data);
+                assert_names_file_in(error, root, data);
                 assert!(!place.exists(), "half a copy");
             }
             Ok(counts) => {
-                assert!(counts.replaced > 0 && counts.replaced + counts.kept == FRAMES);
+                assert!(counts.replaced > 0 && counts.replaced + counts.retained == FRAMES);
                 let images = std::fs::read_dir(place.join("samples")).expect("a copy");
                 let replaced =
                     images.map(|entry| entry.expect("a copy").path()).filter(|image| !image.is_symlink());

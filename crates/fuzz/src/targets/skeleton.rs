@@ -19,10 +19,10 @@ use point_skeleton::skeleton::{
 use serde_json::Value;
 
 use super::{LARGE, SMALL, edit_seeds, seed};
-use crate::check::{told, told_within};
+use crate::check::{assert_names_file, assert_names_file_in};
 use crate::edits::json_file;
 use crate::folder::Folder;
-use crate::made::{self, Made};
+use crate::synthetic_log::{self, SyntheticLog};
 use crate::{Seed, Target};
 
 pub(super) const TARGETS: [Target; 4] = [
@@ -50,13 +50,13 @@ thread_local! {
 }
 
 fn state() -> SceneState {
-    state_of_frame(Made::new(3).recording(), 1, EgoOffset::default()).expect("a frame of ours")
+    state_of_frame(SyntheticLog::new(3).recording(), 1, EgoOffset::default()).expect("a frame of ours")
 }
 
 fn skeleton() -> Stored {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let path = folder.path().join("s");
-    made::skeleton(&path, &Made::new(3));
+    synthetic_log::skeleton(&path, &SyntheticLog::new(3));
     let folder = Folder::copy_of(&path);
     let manifest = serde_json::from_slice(folder.base(MANIFEST)).expect("JSON");
     Stored { folder, manifest, state: state() }
@@ -91,7 +91,7 @@ fn draw_folder(stored: &Stored, data: &[u8]) {
         Ok((skeleton, lengths))
     });
     match checked {
-        Err(error) => told_within(error, stored.folder.root(), data),
+        Err(error) => assert_names_file_in(error, stored.folder.root(), data),
         Ok((skeleton, lengths)) => {
             let manifest = &skeleton.manifest;
             let counts =
@@ -109,8 +109,8 @@ fn draw_folder(stored: &Stored, data: &[u8]) {
     }
 }
 
-fn draw(skeleton: &Skeleton, stand_ins: &Substitutes, state: &SceneState) {
-    let stage = SceneClouds::with(skeleton, LOG, stand_ins).expect("checked points");
+fn draw(skeleton: &Skeleton, substitutes: &Substitutes, state: &SceneState) {
+    let stage = SceneClouds::with(skeleton, LOG, substitutes).expect("checked points");
     let options = SelectionOptions { min_actor_points: 5, ..SelectionOptions::default() };
     let instances = stage.instances(state, &options);
     let views: Vec<View> = state.cameras.iter().map(|camera| camera.view.clone()).collect();
@@ -188,13 +188,13 @@ fn point_seeds() -> Vec<Seed> {
 
 fn open_library(stored: &Stored, data: &[u8]) {
     match TemplateLibrary::open(stored.folder.root()) {
-        Err(error) => told_within(error, stored.folder.root(), data),
+        Err(error) => assert_names_file_in(error, stored.folder.root(), data),
         Ok(library) => {
             assert!(library.clouds.iter().all(|(template, points)| template.points == points.len()));
             SKELETON.with_borrow(|skeleton| {
                 let opened = Skeleton::open(skeleton.folder.root()).expect("a skeleton of ours");
-                let stand_ins = Substitutes { templates: library.clouds, ..Substitutes::NONE };
-                draw(&opened, &stand_ins, &skeleton.state);
+                let substitutes = Substitutes { templates: library.clouds, ..Substitutes::NONE };
+                draw(&opened, &substitutes, &skeleton.state);
             });
         }
     }
@@ -206,7 +206,9 @@ fn library(data: &[u8]) {
         stored.folder.put(LIBRARY, &json_file(data, &stored.manifest));
         let path = stored.folder.path(LIBRARY);
         match TemplateLibrary::open(stored.folder.root()) {
-            Err(error) if !error.to_string().ends_with(TEMPLATE_POINTS) => told(error, &path, data),
+            Err(error) if !error.to_string().ends_with(TEMPLATE_POINTS) => {
+                assert_names_file(error, &path, data)
+            }
             _ => open_library(stored, data),
         }
         stored.folder.reset();

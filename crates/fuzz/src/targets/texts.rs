@@ -13,7 +13,7 @@ use pskel_sim::peer::PeerAddress;
 use pskel_town::TownOptions;
 
 use super::{SMALL, Scratch, seed};
-use crate::check::{short, told};
+use crate::check::{assert_names_file, short};
 use crate::{Seed, Target};
 
 pub(super) const TARGETS: [Target; 2] = [
@@ -70,7 +70,7 @@ fn path(data: &[u8]) {
     let name = ["p.json", "p.npy", "p.csv", "p.txt"][usize::from(format % 4)];
     let file = SCRATCH.with_borrow(|scratch| scratch.put(name, bytes));
     if let Err(error) = LocalPath::read(&file) {
-        told(error, &file, data);
+        assert_names_file(error, &file, data);
     }
 }
 

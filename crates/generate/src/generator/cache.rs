@@ -100,8 +100,11 @@ impl Cache {
         if !(first..=MAX_FRAMES).contains(&next) {
             return wrong(format!("{} as the next frame", shown(&(first..=MAX_FRAMES))), next.to_string());
         }
-        let (count, name) =
-            if next == first { (first, "reference frames") } else { (kept(options), "frames in the cache") };
+        let (count, name) = if next == first {
+            (first, "reference frames")
+        } else {
+            (retained(options), "frames in the cache")
+        };
         if frames.len() != count {
             return wrong(format!("{count} {name}"), frames.len().to_string());
         }
@@ -124,7 +127,7 @@ impl Cache {
 }
 
 /// Number of frames that are retained from step to step.
-fn kept(options: &GenerateOptions) -> usize {
+fn retained(options: &GenerateOptions) -> usize {
     match options.strategy {
         Strategy::ResetAndRoll | Strategy::Rolling => options.window,
         Strategy::Causal { .. } | Strategy::NonCausal { .. } => options.references(),

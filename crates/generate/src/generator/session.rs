@@ -49,7 +49,7 @@ pub struct Session<'a> {
 
 enum SessionState {
     /// Collects references.
-    Warm { denoiser: AnyDenoiser, kept: Vec<(Latent, Committed<FrameConditions>)> },
+    Warm { denoiser: AnyDenoiser, retained: Vec<(Latent, Committed<FrameConditions>)> },
     /// Generates frames.
     Going(Box<Generator<AnyDenoiser, GaussianNoise>>),
     /// A step failed, so the state is inconsistent.
@@ -72,10 +72,10 @@ pub enum SessionError {
     #[error(transparent)]
     Generate(#[from] GenerateError),
     /// A previous step failed.
-    #[error("expected a generator that works, found one that has failed")]
+    #[error("the generator failed in an earlier step: resume in a new session")]
     Failed,
     /// The rollout cannot be resumed because something is missing.
-    #[error("expected {expected} to go on with, found {found}")]
+    #[error("cannot resume: expected {expected}, found {found}")]
     Resume {
         /// Needed input.
         expected: String,
@@ -96,7 +96,7 @@ impl<'a> Session<'a> {
             let expected = format!("a codec of latents of {takes}");
             return Err(DenoiserError::Input { expected, found: gives.to_string() }.into());
         }
-        let state = SessionState::Warm { denoiser, kept: Vec::new() };
+        let state = SessionState::Warm { denoiser, retained: Vec::new() };
         Ok(Self { parts, state, before: None, times: GenerationTimes::default() })
     }
 
@@ -182,7 +182,7 @@ impl<'a> Session<'a> {
         let drawn = self.draw(simulation.committed(), renderer)?;
         times.conditions_s = lap(&mut clock);
         let references = self.parts.options.references();
-        if matches!(&self.state, SessionState::Warm { kept, .. } if kept.len() < references) {
+        if matches!(&self.state, SessionState::Warm { retained, .. } if retained.len() < references) {
             let images = self.keep(&drawn)?;
             times.truth_s = lap(&mut clock);
             self.times = times;
@@ -232,8 +232,8 @@ impl<'a> Session<'a> {
     fn keep(&mut self, drawn: &Committed<RenderedConditions>) -> Result<Vec<RgbImage>, SessionError> {
         let images = self.truth(drawn.get())?;
         let latent = self.parts.codec.encode(&images)?;
-        if let SessionState::Warm { kept, .. } = &mut self.state {
-            kept.push((latent, drawn.clone().map(|drawn| drawn.conditions)));
+        if let SessionState::Warm { retained, .. } = &mut self.state {
+            retained.push((latent, drawn.clone().map(|drawn| drawn.conditions)));
         }
         Ok(images)
     }
@@ -247,11 +247,11 @@ impl<'a> Session<'a> {
     /// Returns the generator; creates it when the references are complete.
     fn generator(&mut self) -> Result<&mut Generator<AnyDenoiser, GaussianNoise>, SessionError> {
         if let SessionState::Warm { .. } = self.state
-            && let SessionState::Warm { denoiser, kept } =
+            && let SessionState::Warm { denoiser, retained } =
                 std::mem::replace(&mut self.state, SessionState::Failed)
         {
             let noise = GaussianNoise { seed: self.parts.seed };
-            let generator = Generator::new(denoiser, noise, self.parts.options, kept)?;
+            let generator = Generator::new(denoiser, noise, self.parts.options, retained)?;
             self.state = SessionState::Going(Box::new(generator));
         }
         match &mut self.state {

@@ -28,8 +28,10 @@ pub enum Strategy {
 }
 
 named!(Strategy, "strategy" {
-    ResetAndRoll => "reset_and_roll", "Rolls on to the forecasts, then discards all frames influenced by them";
+    ResetAndRoll => "reset_and_roll",
+        "Rolls on to the forecasts, then discards all frames influenced by them";
     Rolling => "rolling", "One roll per step; frames retain the influence of old forecasts";
     Causal { history_noise: 0 } => "causal", "Clean previous frames, no forecasts";
-    NonCausal { forecasts: 1 } => "non_causal", "Clean previous frames, the current one, and forecasts that are discarded";
+    NonCausal { forecasts: 1 } => "non_causal",
+        "Clean previous frames, the current one, and forecasts that are discarded";
 });

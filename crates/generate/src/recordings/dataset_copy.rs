@@ -22,7 +22,7 @@ pub struct ImageCounts {
     /// Number of replaced images.
     pub replaced: usize,
     /// Number of reference images, and of frames that were not generated.
-    pub kept: usize,
+    pub retained: usize,
 }
 
 /// A log of the data set, and the folder of the rollout with its generated images.
@@ -99,7 +99,7 @@ impl<'a> DatasetCopy<'a> {
         let frames = logs.iter().flat_map(|copied| &copied.log.frames);
         let images = frames.map(|frame| frame.images.len()).sum::<usize>();
         target.write(|whole| mirror(root, whole, Path::new(""), &by_path))?;
-        Ok(ImageCounts { replaced: by_path.len(), kept: images - by_path.len() })
+        Ok(ImageCounts { replaced: by_path.len(), retained: images - by_path.len() })
     }
 }
 

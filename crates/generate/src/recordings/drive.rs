@@ -140,17 +140,17 @@ impl TrainingClip {
     #[must_use]
     pub fn without_every(mut self, n: usize) -> Self {
         let mut skipped = [0.0_f32; 3];
-        let mut kept = Vec::with_capacity(self.frames.len());
+        let mut retained = Vec::with_capacity(self.frames.len());
         for (number, mut frame) in std::mem::take(&mut self.frames).into_iter().enumerate() {
             frame.action = joined(skipped, frame.action);
             if (number + 1).is_multiple_of(n) {
                 skipped = frame.action;
             } else {
                 skipped = [0.0; 3];
-                kept.push(frame);
+                retained.push(frame);
             }
         }
-        Self { frames: kept, ..self }
+        Self { frames: retained, ..self }
     }
 
     /// Returns the images of a frame.
@@ -272,10 +272,7 @@ mod tests {
         let bytes = std::fs::read(&path).unwrap();
         std::fs::write(&path, &bytes[..bytes.len() - 1]).unwrap();
         let error = TrainingClip::open(&path).unwrap_err().to_string();
-        assert!(
-            error.contains("expected a drive to train on") && error.contains("drive.safetensors"),
-            "{error}"
-        );
+        assert!(error.contains("expected a training clip") && error.contains("drive.safetensors"), "{error}");
     }
 
     #[test]
@@ -284,17 +281,17 @@ mod tests {
         // A quarter turn to the left in every frame: forward, then left, then backward.
         let turn = std::f32::consts::FRAC_PI_2;
         let drive = TrainingClip { about: about(), frames: vec![frame([1.0, 0.0, turn]); 5] };
-        let kept = drive.clone().without_every(2);
+        let retained = drive.clone().without_every(2);
         let near = |found: [f32; 3], expected: [f32; 3]| {
             found.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-6)
         };
-        assert!(kept.frames.len() == 3 && kept.frames[0] == drive.frames[0]);
-        assert!(near(kept.frames[2].action, [1.0, 1.0, 2.0 * turn]), "{:?}", kept.frames[2].action);
-        let kept = drive.without_every(3);
-        assert_eq!(kept.frames.len(), 4);
+        assert!(retained.frames.len() == 3 && retained.frames[0] == drive.frames[0]);
+        assert!(near(retained.frames[2].action, [1.0, 1.0, 2.0 * turn]), "{:?}", retained.frames[2].action);
+        let retained = drive.without_every(3);
+        assert_eq!(retained.frames.len(), 4);
         assert!(
-            near(kept.frames[2].action, [1.0, 1.0, 2.0 * turn])
-                && near(kept.frames[3].action, [1.0, 0.0, turn])
+            near(retained.frames[2].action, [1.0, 1.0, 2.0 * turn])
+                && near(retained.frames[3].action, [1.0, 0.0, turn])
         );
     }
 

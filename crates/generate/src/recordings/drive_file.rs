@@ -61,7 +61,7 @@ impl TrainingClip {
     /// Fails if the file cannot be read, or if its content is not a valid recording.
     pub fn open(path: &Path) -> Result<Self, FileError> {
         let bytes = read_table(path)?;
-        let wrong = |found: String| FileError::content("a drive to train on", found, path);
+        let wrong = |found: String| FileError::content("a training clip", found, path);
         let (_, head) = SafeTensors::read_metadata(&bytes).map_err(|e| wrong(e.to_string()))?;
         let about = head.metadata().as_ref().and_then(|all| all.get(ABOUT)).map_or("", String::as_str);
         let about: DriveInfo = json::parsed(about.as_bytes()).map_err(wrong)?;

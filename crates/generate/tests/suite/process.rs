@@ -243,12 +243,12 @@ fn denoisers_receive_the_documented_messages() {
     }
     assert_eq!(texts(&seen("0"))["call"], "0");
     let bytes = seen("1");
-    let told = texts(&bytes);
+    let reported = texts(&bytes);
     let conditions: Vec<FrameConditions> = (0..4).map(conditions).collect();
-    let prompts: Vec<String> = serde_json::from_str(&told["prompts"]).unwrap();
+    let prompts: Vec<String> = serde_json::from_str(&reported["prompts"]).unwrap();
     assert_eq!(prompts, conditions.iter().map(|c| c.prompt.clone()).collect::<Vec<_>>());
-    assert_eq!(told["call"], "1");
-    assert_eq!(told["references"], "[true,false,false,false]");
+    assert_eq!(reported["call"], "1");
+    assert_eq!(reported["references"], "[true,false,false,false]");
     let message = SafeTensors::deserialize(&bytes).unwrap();
     assert_eq!(message.len(), 7);
     let all = |of: fn(&FrameConditions) -> Vec<f32>| conditions.iter().flat_map(of).collect::<Vec<f32>>();

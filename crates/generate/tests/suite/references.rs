@@ -28,7 +28,7 @@ impl Denoiser for Recorder {
 }
 
 /// Returns the call flags of the first and the second generated frame.
-fn told(strategy: Strategy) -> [Vec<String>; 2] {
+fn reference_kinds(strategy: Strategy) -> [Vec<String>; 2] {
     let options = options(strategy);
     let clip = GeneratorInputs::new(&options);
     let calls = Rc::default();
@@ -46,13 +46,13 @@ fn told(strategy: Strategy) -> [Vec<String>; 2] {
 fn references_are_the_unchanged_frames_of_a_call() {
     let twice =
         |flags: &[&str]| flags.iter().flat_map(|flags| [(*flags).to_owned(), (*flags).to_owned()]).collect();
-    let [first, second] = told(Strategy::ResetAndRoll);
+    let [first, second] = reference_kinds(Strategy::ResetAndRoll);
     let expected: Vec<String> = twice(&["RRR-", "RR--", "R---", "----"]);
     assert_eq!(first, expected);
     // The window was reset to the first roll of the first frame.
     let expected: Vec<String> = twice(&["RR--", "R---", "----", "----"]);
     assert_eq!(second, expected);
-    for calls in told(Strategy::Causal { history_noise: 0 }) {
+    for calls in reference_kinds(Strategy::Causal { history_noise: 0 }) {
         assert_eq!(calls, vec!["RRR-".to_owned(); 8]);
     }
 }

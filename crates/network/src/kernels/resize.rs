@@ -10,7 +10,7 @@ pub(in super::super) struct Resize {
 
 impl Resize {
     /// Returns the means of 2x2 pixels, `[N, H / 2, W / 2, C]`.
-    pub(in super::super) fn halve(&self, x: &[f32]) -> Vec<f32> {
+    pub(in super::super) fn downsample(&self, x: &[f32]) -> Vec<f32> {
         let Self { height, width, channels: c } = *self;
         let mut out = vec![0.0_f32; x.len() / 4];
         let images = out.par_chunks_mut(height * width / 4 * c).zip(x.par_chunks(height * width * c));
@@ -29,8 +29,8 @@ impl Resize {
         out
     }
 
-    /// Returns the gradient of [`Resize::halve`]'s input.
-    pub(in super::super) fn halve_backward(&self, grad: &[f32]) -> Vec<f32> {
+    /// Returns the gradient of [`Resize::downsample`]'s input.
+    pub(in super::super) fn downsample_backward(&self, grad: &[f32]) -> Vec<f32> {
         let Self { height, width, channels: c } = *self;
         let mut out = vec![0.0_f32; grad.len() * 4];
         let images = out.par_chunks_mut(height * width * c).zip(grad.par_chunks(height * width / 4 * c));
@@ -47,7 +47,7 @@ impl Resize {
 
     /// Returns the image at twice the size, `[N, H, W, C]` of `[N, H / 2, W / 2, C]`: bilinear, with repeated
     /// borders.
-    pub(in super::super) fn double(&self, x: &[f32]) -> Vec<f32> {
+    pub(in super::super) fn upsample(&self, x: &[f32]) -> Vec<f32> {
         let Self { height, width, channels: c } = *self;
         let (low, across) = (height / 2, width / 2);
         let mut out = vec![0.0_f32; x.len() * 4];
@@ -69,8 +69,8 @@ impl Resize {
         out
     }
 
-    /// Returns the gradient of [`Resize::double`]'s input.
-    pub(in super::super) fn double_backward(&self, grad: &[f32]) -> Vec<f32> {
+    /// Returns the gradient of [`Resize::upsample`]'s input.
+    pub(in super::super) fn upsample_backward(&self, grad: &[f32]) -> Vec<f32> {
         let Self { height, width, channels: c } = *self;
         let (low, across) = (height / 2, width / 2);
         let mut out = vec![0.0_f32; grad.len() / 4];

@@ -207,20 +207,20 @@ fn resizing_keeps_constants_and_gradients_are_correct() {
     let (large, small) = (2 * 6 * 10 * 16, 2 * 3 * 5 * 16);
     assert!(
         shape
-            .halve(&vec![0.7; large])
+            .downsample(&vec![0.7; large])
             .iter()
-            .chain(&shape.double(&vec![0.7; small]))
+            .chain(&shape.upsample(&vec![0.7; small]))
             .all(|v| (v - 0.7).abs() < 1e-6)
     );
     let (x, g) = (normal(24, large), normal(25, small));
     let near = |a: f64, b: f64| (a - b).abs() < 1e-3;
-    assert!(near(sum(&shape.halve(&x), &g), sum(&x, &shape.halve_backward(&g))));
-    assert!(near(sum(&shape.double(&g), &x), sum(&g, &shape.double_backward(&x))));
+    assert!(near(sum(&shape.downsample(&x), &g), sum(&x, &shape.downsample_backward(&g))));
+    assert!(near(sum(&shape.upsample(&g), &x), sum(&g, &shape.upsample_backward(&x))));
     // A ramp stays a ramp, except at the borders.
     let ramp: Vec<f32> = (0..small).map(|i| (i / 16 % 5) as f32).collect();
-    let doubled = shape.double(&ramp);
+    let doubled = shape.upsample(&ramp);
     let row: Vec<f32> = (0..10).map(|x| doubled[(2 * 10 + x) * 16]).collect();
     assert_eq!(row, [0.0, 0.25, 0.75, 1.25, 1.75, 2.25, 2.75, 3.25, 3.75, 4.0]);
-    let halved = shape.halve(&doubled);
+    let halved = shape.downsample(&doubled);
     assert_eq!(halved[16], (0.75 + 1.25) / 2.0);
 }

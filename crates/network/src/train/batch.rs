@@ -16,10 +16,10 @@ use crate::{Inputs, NetworkConfig, NetworkError, Statistics, latent_rows};
 const SIGMA_MIN: f32 = 0.005;
 /// Maximum errors of frames, in latent units: logarithm of the gain, shift of all channels and of each, and
 /// noise.
-const MOST_GAIN: f32 = 0.2;
-const MOST_SHIFT: f32 = 0.3;
-const MOST_TINT: f32 = 0.1;
-const MOST_NOISE: f32 = 0.3;
+const MAX_GAIN: f32 = 0.2;
+const MAX_SHIFT: f32 = 0.3;
+const MAX_TINT: f32 = 0.1;
+const MAX_NOISE: f32 = 0.3;
 /// Minimum noise level at which noisy frames have their full errors.
 const FULL_ERRORS: f32 = 0.3;
 
@@ -191,11 +191,11 @@ impl Window {
 /// each image, and noise.
 fn errors(clean: &[f32], images: usize, random: &mut ChaCha8Rng) -> Vec<f32> {
     let mut between = |most: f32| (2.0 * unit(random) - 1.0) * most;
-    let spread = between(MOST_NOISE).abs();
+    let spread = between(MAX_NOISE).abs();
     let shifts: Vec<[f32; 4]> = (0..images)
         .map(|_| {
-            let (gain, shift) = (between(MOST_GAIN).exp(), between(MOST_SHIFT));
-            let [a, b, c] = [0; 3].map(|_| shift + between(MOST_TINT));
+            let (gain, shift) = (between(MAX_GAIN).exp(), between(MAX_SHIFT));
+            let [a, b, c] = [0; 3].map(|_| shift + between(MAX_TINT));
             [gain, a, b, c]
         })
         .collect();
@@ -367,7 +367,7 @@ mod tests {
             let found = errors(&clean, 2, &mut random);
             for image in found.chunks(600) {
                 let mean = image.iter().sum::<f32>() / 600.0;
-                assert!(mean.abs() < MOST_SHIFT + MOST_TINT + 0.1, "{mean}");
+                assert!(mean.abs() < MAX_SHIFT + MAX_TINT + 0.1, "{mean}");
                 shifts.push(mean);
             }
         }

@@ -40,7 +40,7 @@ struct Factors {
     /// Square root of the second moment's bias correction.
     second: f32,
     /// Factor of weight decay, for matrices.
-    kept: f32,
+    retained: f32,
     average: f32,
 }
 
@@ -53,14 +53,14 @@ impl TrainedParameter {
     }
 
     fn update(&mut self, gradient: &[f32], by: Factors) -> Result<()> {
-        let kept = if self.value.rank() > 1 { by.kept } else { 1.0 };
+        let retained = if self.value.rank() > 1 { by.retained } else { 1.0 };
         let mut values = self.value.flatten_all()?.to_vec1::<f32>()?;
         for (i, value) in values.iter_mut().enumerate() {
             let slope = gradient[i] * by.clip;
             let (first, second) = (&mut self.first[i], &mut self.second[i]);
             *first = FIRST * *first + (1.0 - FIRST) * slope;
             *second = SECOND * *second + (1.0 - SECOND) * slope * slope;
-            *value = *value * kept - by.rate * *first / (second.sqrt() / by.second + EPSILON);
+            *value = *value * retained - by.rate * *first / (second.sqrt() / by.second + EPSILON);
             self.average[i] = by.average * self.average[i] + (1.0 - by.average) * *value;
         }
         self.value.set(&Tensor::from_vec(values, self.value.shape(), &Device::Cpu)?)
@@ -116,7 +116,7 @@ impl State {
             clip: (options.clip / length).min(1.0) as f32,
             rate: (rate / left(FIRST)) as f32,
             second: left(SECOND).sqrt() as f32,
-            kept: 1.0 - (rate * options.weight_decay) as f32,
+            retained: 1.0 - (rate * options.weight_decay) as f32,
             average: options.average.min(young) as f32,
         };
         let all: Vec<_> = self.parameters.values_mut().zip(gradients).collect();

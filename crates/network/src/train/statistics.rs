@@ -82,7 +82,7 @@ fn moments(parts: Vec<(Sums, usize)>) -> [[f64; CHANNELS]; 2] {
 /// Returns an error that names a recording that does not fit, or an error if there is no recording.
 pub(super) fn check(config: &NetworkConfig, drives: &[TrainingClip]) -> Result<(), NetworkError> {
     if drives.is_empty() {
-        return Err(NetworkError::input("a drive to train on", "none"));
+        return Err(NetworkError::input("a training clip", "none"));
     }
     for drive in drives {
         let about = &drive.about;

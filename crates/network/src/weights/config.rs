@@ -54,7 +54,7 @@ pub(crate) const LATENT_CHANNELS: usize = 3;
 /// Side of the pixels that share a token.
 pub(crate) const TOKEN: usize = 8;
 /// Maximum of each dimension; rejects mistyped configurations.
-const MOST: usize = 1 << 14;
+const MAX_SIZE: usize = 1 << 14;
 
 impl NetworkConfig {
     /// Reads a configuration from a JSON file. Missing fields have their default.
@@ -90,8 +90,8 @@ impl NetworkConfig {
     pub fn check(&self) -> Result<(), NetworkError> {
         let Self { frames, channels, width, head, hidden, .. } = *self;
         let numbers = [&[frames, width, head, hidden, self.blocks.len()][..], &channels].concat();
-        if numbers.iter().any(|number| !(1..=MOST).contains(number)) {
-            let expected = format!("frames, channels, width, head, hidden and blocks of 1 to {MOST}");
+        if numbers.iter().any(|number| !(1..=MAX_SIZE).contains(number)) {
+            let expected = format!("frames, channels, width, head, hidden and blocks of 1 to {MAX_SIZE}");
             return Err(NetworkError::input(expected, format!("{numbers:?}")));
         }
         if frames < 2 {

@@ -47,11 +47,11 @@ pub(crate) fn forecast_steps(text: &str) -> Result<usize, String> {
 
 /// Parses a number of points: an integer, also like `4e6`, up to the maximum of one job.
 pub(crate) fn points(text: &str) -> Result<usize, String> {
-    const MOST: u32 = u32::MAX - 1;
+    const MAX_POINTS: u32 = u32::MAX - 1;
     finite(text)
-        .filter(|n| n.fract() == 0.0 && (1.0..=f64::from(MOST)).contains(n))
+        .filter(|n| n.fract() == 0.0 && (1.0..=f64::from(MAX_POINTS)).contains(n))
         .map(|n| n as usize)
-        .ok_or_else(|| format!("expected 1 to {MOST} points, like 4000000 or 4e6"))
+        .ok_or_else(|| format!("expected 1 to {MAX_POINTS} points, like 4000000 or 4e6"))
 }
 
 pub(crate) fn finite(text: &str) -> Option<f64> {

@@ -20,7 +20,7 @@ pub(crate) struct RasterizerArgs {
     /// need additional memory [default: as much as needed]
     #[arg(long, value_name = "MIB")]
     pub(crate) gpu_memory: Option<u32>,
-    /// Draw points that nearer ones hide too, to measure what skipping them is worth (cpu only)
+    /// Also draw hidden points, to measure the effect of occlusion culling (cpu only)
     #[arg(long)]
     pub(crate) no_occlusion_culling: bool,
 }

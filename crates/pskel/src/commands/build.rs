@@ -23,7 +23,7 @@ use crate::args::numbers;
 use crate::args::outputs::FolderArgs;
 use crate::logs;
 use crate::progress::StageProgress;
-use crate::{WrongUsage, say, tell_notes, warn};
+use crate::{WrongUsage, print_notes, print_result, warn};
 
 /// Build a point skeleton from recordings: colored background, and an asset per tracked actor
 ///
@@ -107,7 +107,7 @@ pub(crate) fn run(args: BuildArgs) -> anyhow::Result<()> {
         ));
     }
     if args.resume && skeleton::unfinished_frames(&args.folder.out).is_none() {
-        warn("no unfinished build was found to resume; this one starts with the first frame");
+        warn("--resume: found no unfinished build, starting with the first frame");
     }
     let given = read_templates(&args.templates)?;
     let library = args.templates_from.as_deref().map(TemplateLibrary::open).transpose()?.unwrap_or_default();
@@ -127,7 +127,7 @@ pub(crate) fn run(args: BuildArgs) -> anyhow::Result<()> {
     let built = skeleton::build(&args.folder.out, &inputs, &args.options(), &templates, &run)?;
     drop(progress);
     let seconds = start.elapsed().as_secs_f64();
-    say(&format!(
+    print_result(&format!(
         "{}{} in {seconds:.2} s: {}",
         summary(&built.manifest),
         own.take(),
@@ -181,7 +181,7 @@ fn read_templates(files: &[TemplateFile]) -> anyhow::Result<Vec<TemplateCloud>> 
     }
     let read = |file: &TemplateFile| {
         let (template, notes) = skeleton::read_template(file.kind, &file.path)?;
-        tell_notes(&file.path, &notes);
+        print_notes(&file.path, &notes);
         Ok(template)
     };
     files.iter().map(read).collect()
@@ -197,7 +197,7 @@ fn summary(built: &Manifest) -> String {
     format!(
         "built {} from {} frames ({} points of {} sweeps, {} images): {background} background points in {} \
             chunks, \
-         {actors} points of {} actors, {} templates; {merged} merged into others of their voxel; dropped \
+         {actors} points of {} actors, {} templates; {merged} merged in voxels; dropped \
          {}{notes}",
         logs.join(", "),
         built.sources.iter().map(|source| source.frames).sum::<usize>(),

@@ -9,7 +9,7 @@ use point_skeleton::skeleton::Skeleton;
 
 use crate::args::names::names;
 use crate::args::outputs;
-use crate::{WrongUsage, say, tell_notes};
+use crate::{WrongUsage, print_notes, print_result};
 
 /// Convert points: a skeleton to NPY or PLY files, or one such file to the other format
 ///
@@ -36,14 +36,18 @@ pub(crate) fn run(args: ConvertArgs) -> anyhow::Result<()> {
     } else {
         convert_file(&args)?
     };
-    say(&format!("converted {what} in {:.2} s: {}", start.elapsed().as_secs_f64(), args.out.display()));
+    print_result(&format!(
+        "converted {what} in {:.2} s: {}",
+        start.elapsed().as_secs_f64(),
+        args.out.display()
+    ));
     Ok(())
 }
 
 fn convert_skeleton(input: &Path, out: &Path, format: PointFormat) -> Result<String, FileError> {
     let skeleton = Skeleton::open(input)?;
     let notes = skeleton.export(out, format)?;
-    tell_notes(input, &notes);
+    print_notes(input, &notes);
     let manifest = &skeleton.manifest;
     let (points, actors, templates) =
         (manifest.background_points(), manifest.actors.len(), manifest.templates.len());
@@ -64,7 +68,7 @@ fn convert_file(args: &ConvertArgs) -> anyhow::Result<String> {
     };
     let out = format.open_files(&args.out, &Inputs::new([&args.input]))?;
     let file = cloud::read(&args.input)?;
-    tell_notes(&args.input, &file.notes);
+    print_notes(&args.input, &file.notes);
     let origin = match out.write(&file)? {
         Some(path) => format!(", relative to the origin in {}", path.display()),
         None => String::new(),

@@ -10,7 +10,7 @@ use pskel_eval::{EvaluateError, EvaluateOptions, SCORES, evaluate};
 
 use crate::args::outputs;
 use crate::progress::Progress;
-use crate::{WrongUsage, say, tell};
+use crate::{WrongUsage, print_progress, print_result};
 
 /// Score the generated images of rollouts against ground truth
 ///
@@ -60,13 +60,13 @@ pub(crate) fn run(args: &EvaluateArgs) -> anyhow::Result<()> {
     })?;
     drop(progress);
     // Printed before the file is written, which may fail: the scores took long.
-    say(report.table().trim_end());
+    print_result(report.table().trim_end());
     for note in report.notes() {
-        tell(&format!("note: {note}"));
+        print_progress(&format!("note: {note}"));
     }
     out.as_ref().map_or(Ok(()), |out| out.write_json(&report))?;
     let seconds = start.elapsed().as_secs_f64();
     let out = out.map_or(String::new(), |out| format!(": {}", out.path().display()));
-    say(&format!("{} in {seconds:.2} s{out}", report.summary()));
+    print_result(&format!("{} in {seconds:.2} s{out}", report.summary()));
     Ok(())
 }

@@ -22,7 +22,7 @@ use crate::args::rasterizer::RasterizerArgs;
 use crate::args::source::SkeletonsArgs;
 use crate::args::substitutes::SubstituteArgs;
 use crate::progress::Progress;
-use crate::{WrongUsage, say, tell};
+use crate::{WrongUsage, print_progress, print_result};
 
 /// Export the condition maps of many recordings in a layout that trainers read
 ///
@@ -102,7 +102,12 @@ pub(crate) fn run(args: &ExportArgs) -> anyhow::Result<()> {
     let progress = FrameProgress(Mutex::new(Progress::new(frames)));
     let report = job.run(&listed, &progress)?;
     drop(progress);
-    say(&format!("{} in {:.1} s: {}", summary(&report), start.elapsed().as_secs_f64(), job.out.display()));
+    print_result(&format!(
+        "{} in {:.1} s: {}",
+        summary(&report),
+        start.elapsed().as_secs_f64(),
+        job.out.display()
+    ));
     finish(&report.failures)
 }
 
@@ -159,7 +164,7 @@ fn print(list: &WorkList) {
     for log in &list.logs {
         for unit in &log.units {
             let frames = &unit.frames;
-            say(&format!("{number} {} {}..{} {}", unit.name, frames.start, frames.end, log.locator));
+            print_result(&format!("{number} {} {}..{} {}", unit.name, frames.start, frames.end, log.locator));
             number += 1;
         }
     }
@@ -168,13 +173,10 @@ fn print(list: &WorkList) {
 /// Reports failed logs and shards; any of them is a failure of the command.
 fn finish(failures: &[Failure]) -> anyhow::Result<()> {
     for failure in failures {
-        tell(&format!("failed: {}: {}", failure.name, failure.error));
+        print_progress(&format!("failed: {}: {}", failure.name, failure.error));
     }
     let count = failures.len();
-    anyhow::ensure!(
-        count == 0,
-        "expected every recording and shard to be exported, found {count} that failed"
-    );
+    anyhow::ensure!(count == 0, "{count} recordings or shards failed");
     Ok(())
 }
 
@@ -186,7 +188,7 @@ fn summary(report: &ExportReport) -> String {
             parts.push(format!("{count} {text}"));
         }
     };
-    add(*present, "were there already");
+    add(*present, "already existed");
     add(*busy, "are being written by another process");
     add(*built, "skeletons built");
     add(failures.len(), "failures");

@@ -17,7 +17,7 @@ use crate::args::size::SizeArgs;
 use crate::args::source::SourceArgs;
 use crate::args::substitutes::SubstituteArgs;
 use crate::progress::Progress;
-use crate::{WrongUsage, say};
+use crate::{WrongUsage, print_result};
 
 /// Measure the fidelity of condition maps against ground truth
 ///
@@ -120,10 +120,10 @@ pub(crate) fn run(args: &FidelityArgs) -> anyhow::Result<()> {
     let report = fidelity(source, &mut renderer, &frames, args.size.conditions(), &mut on_step)?;
     drop(progress);
     files.iter().try_for_each(|(file, write)| write(file, &report))?;
-    say(report.table().trim_end());
+    print_result(report.table().trim_end());
     let images = report.rows.images();
     let (seconds, skeleton) = (start.elapsed().as_secs_f64(), args.source.skeleton.display());
-    say(&format!("compared {images} images of {} in {seconds:.2} s: {skeleton}", log.shown_name()));
+    print_result(&format!("compared {images} images of {} in {seconds:.2} s: {skeleton}", log.shown_name()));
     Ok(())
 }
 

@@ -20,7 +20,7 @@ use crate::args::rasterizer::RasterizerArgs;
 use crate::args::rollout::RolloutArgs;
 use crate::args::source::SourceArgs;
 use crate::args::substitutes::SubstituteArgs;
-use crate::{WrongUsage, say};
+use crate::{WrongUsage, print_result};
 
 /// Regenerate the images of a log from its conditions: ego and actors follow the log
 ///
@@ -77,7 +77,12 @@ pub(crate) fn run(args: GenerateArgs) -> anyhow::Result<()> {
     if let Some((folder, copy)) = copy {
         let log = roots.open(&log)?;
         let counts = copy.write(&[CopiedLog { log: log.recording(), rollout: &out }])?;
-        say(&format!("{} images replaced, {} kept: {}", counts.replaced, counts.kept, folder.display()));
+        print_result(&format!(
+            "{} images replaced, {} kept: {}",
+            counts.replaced,
+            counts.retained,
+            folder.display()
+        ));
     }
     Ok(())
 }

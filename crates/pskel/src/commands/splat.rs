@@ -14,7 +14,7 @@ use point_skeleton::scene::SceneInstances;
 use crate::args::rasterizer::RasterizerArgs;
 use crate::args::size::SizeArgs;
 use crate::progress::Progress;
-use crate::{say, tell_notes};
+use crate::{print_notes, print_result};
 
 /// Splat any point cloud into any cameras: color, depth, class and point number per pixel
 ///
@@ -46,7 +46,7 @@ pub(crate) fn run(args: SplatArgs) -> anyhow::Result<()> {
     let out = OutputFile::open(&args.out, npz::COLOR_FIRST, &inputs)?;
     let views = cloud::cameras::read(&args.cameras)?;
     let cloud = cloud::read(&args.points)?;
-    tell_notes(&args.points, &cloud.notes);
+    print_notes(&args.points, &cloud.notes);
     let mut rasterizer = args.rasterizer.create(vec![&cloud.points])?;
     let instance = Instance { cloud: 0, world_from_local: cloud.world_from_local(), number: 0 };
     let clouds = SceneInstances { color: vec![instance], geometry: vec![instance] };
@@ -67,7 +67,7 @@ pub(crate) fn run(args: SplatArgs) -> anyhow::Result<()> {
         n => format!(" ({n} not finite, never drawn)"),
     };
     let info = rasterizer.info();
-    say(&format!(
+    print_result(&format!(
         "splatted {} points{not_drawn} into {} views by {} on {} in {:.2} s: {}",
         cloud.points.len(),
         views.len(),

@@ -16,8 +16,8 @@ use point_skeleton::skeleton::{
 use crate::args::log::LogRoots;
 use crate::args::outputs::FolderArgs;
 use crate::logs;
+use crate::print_result;
 use crate::progress::{Progress, StageProgress};
-use crate::say;
 
 /// Create category templates from the actors of logs: substitute clouds for actors with few points of their
 /// own
@@ -80,13 +80,13 @@ pub(crate) fn run(args: &TemplatesArgs) -> anyhow::Result<()> {
     let sources = read(args, &mut instances, target.scratch())?;
     let made = instances.templates();
     let found = described(&made.1);
-    anyhow::ensure!(!made.0.is_empty(), "expected actors with points enough for a template, found {found}");
+    anyhow::ensure!(!made.0.is_empty(), "expected actors with enough points for a template, found {found}");
     let library = TemplateLibrary::new(sources, options, made);
     library.write(target, |folder| template_preview::write_all(folder, &library.clouds))?;
     let (count, logs) = (library.clouds.len(), library.manifest.sources.len());
     let seconds = start.elapsed().as_secs_f64();
-    say(&format!(
-        "made {count} templates from {logs} logs: {found} in {seconds:.2} s: {}",
+    print_result(&format!(
+        "created {count} templates from {logs} logs: {found} in {seconds:.2} s: {}",
         args.folder.out.display()
     ));
     Ok(())
@@ -137,7 +137,7 @@ pub(crate) fn of_actors(report: &TemplateReport) -> String {
 fn described(report: &TemplateReport) -> String {
     let made = report.templates.iter().filter(|t| t.points > 0);
     let made = made.map(|t| format!("{} ({} points of {} actors)", t.kind.name(), t.points, t.instances));
-    let left = report.notes.iter().map(|(reason, count)| format!("left out {count} {reason}"));
+    let left = report.notes.iter().map(|(reason, count)| format!("skipped {count} {reason}"));
     let all: Vec<String> = made.chain(left).collect();
     if all.is_empty() { "no actors".to_owned() } else { all.join(", ") }
 }

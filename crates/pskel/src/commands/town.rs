@@ -10,7 +10,7 @@ use pskel_town::{Town, TownOptions, WriteError};
 
 use crate::args::outputs::FolderArgs;
 use crate::progress::Progress;
-use crate::{WrongUsage, say};
+use crate::{WrongUsage, print_result};
 
 /// Write the synthetic town as a data set in nuScenes layout: images, LiDAR sweeps, boxes, and the HD map
 ///
@@ -19,9 +19,9 @@ use crate::{WrongUsage, say};
 /// without files is the log town:seed=S,frames=N.
 #[derive(Debug, Args)]
 pub(crate) struct TownArgs {
-    /// Options of the town, all optional: seed, frames (annotated ones), hz (annotated frames per second), beams
-    /// of the LiDAR (32 or 64), lidar_hz (rotations per second, 10 or 20), size of the images, light (day,
-    /// dusk or overcast)
+    /// Options of the town, all optional: seed, frames (annotated ones), hz (annotated frames per second),
+    /// beams of the LiDAR (32 or 64), lidar_hz (rotations per second, 10 or 20), size of the images, light
+    /// (day, dusk or overcast)
     #[arg(value_name = "seed=7,frames=40,..", default_value_t, hide_default_value = true)]
     options: TownOptions,
     #[command(flatten)]
@@ -51,7 +51,7 @@ pub(crate) fn run(args: &TownArgs) -> anyhow::Result<()> {
         }
         Ok::<_, WriteError>(())
     })?;
-    say(&format!(
+    print_result(&format!(
         "{} in {:.2} s: {}",
         summary(town.recording()),
         start.elapsed().as_secs_f64(),

@@ -19,7 +19,7 @@ use crate::args::numbers;
 use crate::args::outputs::FolderArgs;
 use crate::args::rasterizer::RasterizerArgs;
 use crate::progress::Progress;
-use crate::{WrongUsage, logs, say};
+use crate::{WrongUsage, logs, print_result};
 
 /// Train the small network of `pskel generate` on recorded logs and synthetic towns
 ///
@@ -116,7 +116,11 @@ pub(crate) fn run(args: &TrainArgs) -> anyhow::Result<()> {
     let (clips, shares) = args.clips(&recorder)?;
     let frames: usize = clips.iter().map(|clip| clip.frames.len()).sum();
     let seconds = start.elapsed().as_secs_f64();
-    say(&format!("{} drives of {frames} frames in {seconds:.2} s: {}", clips.len(), drives.display()));
+    print_result(&format!(
+        "{} drives of {frames} frames in {seconds:.2} s: {}",
+        clips.len(),
+        drives.display()
+    ));
     let Some(folder) = folder else { return Ok(()) };
     let training = folder.start(config, options, files, &clips, shares)?;
     let mut progress = Progress::new(usize::try_from(training.steps_left())?);
@@ -125,7 +129,7 @@ pub(crate) fn run(args: &TrainArgs) -> anyhow::Result<()> {
     };
     let report = training.run(&|losses, path| loss_plot(losses).write(path), &mut on_step)?;
     drop(progress);
-    say(&format!(
+    print_result(&format!(
         "trained {} steps, loss {:.4}, in {:.2} s: {}",
         report.losses.len(),
         recent_loss(&report.losses),

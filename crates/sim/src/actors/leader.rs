@@ -37,8 +37,8 @@ impl Others {
 
     /// Returns the nearest other road user in the corridor along a path. The corridor is `width_m` wide and
     /// extends from the follower's front (a station, meters) over the look-ahead distance.
-    pub(super) fn leader(&self, track: usize, way: &Polyline, front_m: f64, width_m: f64) -> Option<Leader> {
-        let (front, _) = way.at(front_m);
+    pub(super) fn leader(&self, track: usize, path: &Polyline, front_m: f64, width_m: f64) -> Option<Leader> {
+        let (front, _) = path.at(front_m);
         let near = |body: &&Body| {
             body.track != Some(track)
                 && body.footprint.center.distance(front) < SIGHT_M + body.footprint.radius_m() + width_m
@@ -47,11 +47,11 @@ impl Others {
         let end_m = front_m + SIGHT_M;
         let mut from_m = front_m;
         while from_m < end_m && !bodies.is_empty() {
-            let piece = way.piece(from_m);
-            let is_last = piece + 2 == way.points().len();
-            let to_m = if is_last { end_m } else { way.stations_m()[piece + 1].min(end_m) };
-            // Before the path's first point, `way.at` extends its first segment.
-            let (start, forward) = way.at(from_m);
+            let piece = path.piece(from_m);
+            let is_last = piece + 2 == path.points().len();
+            let to_m = if is_last { end_m } else { path.stations_m()[piece + 1].min(end_m) };
+            // Before the path's first point, `path.at` extends its first segment.
+            let (start, forward) = path.at(from_m);
             let half_m = DVec2::new((to_m - from_m) / 2.0, width_m / 2.0);
             let corridor = Footprint { center: start + forward * half_m.x, forward, half_m };
             let met = bodies.iter().filter_map(|body| met(&corridor, body, from_m - front_m));
@@ -82,7 +82,7 @@ mod tests {
     use crate::metrics::collision::tests::{actor, instant};
 
     /// Returns a path along x from 40 m behind the ego that turns left after 60 m.
-    fn way() -> Polyline {
+    fn path() -> Polyline {
         let points = [(-40.0, 0.0), (20.0, 0.0), (20.0, 60.0)];
         Polyline::new(points.map(DVec2::from)).unwrap()
     }
@@ -91,7 +91,7 @@ mod tests {
     fn leader(others: &[SimActor]) -> Option<Leader> {
         let me = actor(9, -30.0, 0.0, 0.0, 8.0);
         let all: Vec<SimActor> = others.iter().copied().chain([me]).collect();
-        Others::new(&instant(5.0, &all)).leader(9, &way(), 12.0, 2.0)
+        Others::new(&instant(5.0, &all)).leader(9, &path(), 12.0, 2.0)
     }
 
     fn close(found: Option<Leader>, gap_m: f64, speed_mps: f64) {
@@ -142,10 +142,10 @@ mod tests {
         let me = actor(9, -30.0, 0.0, 0.0, 8.0);
         let mut now = instant(5.0, &[around(40.0), me]);
         now.ego.pose.translation.y = 500.0;
-        close(Others::new(&now).leader(9, &way(), 12.0, 2.0), 48.0 + 38.0, 4.0);
+        close(Others::new(&now).leader(9, &path(), 12.0, 2.0), 48.0 + 38.0, 4.0);
         now.actors[0] = around(54.1);
-        assert_eq!(Others::new(&now).leader(9, &way(), 12.0, 2.0), None);
+        assert_eq!(Others::new(&now).leader(9, &path(), 12.0, 2.0), None);
         // The path extends straight beyond its end.
-        close(Others::new(&instant(5.0, &[around(70.0)])).leader(9, &way(), 110.0, 2.0), 18.0, 4.0);
+        close(Others::new(&instant(5.0, &[around(70.0)])).leader(9, &path(), 110.0, 2.0), 18.0, 4.0);
     }
 }

@@ -91,8 +91,8 @@ impl SavedMover {
     pub(super) fn open(&self, recorded: &Recorded<'_>, track: usize) -> Option<Mover> {
         match *self {
             Self::Idm { joined_us, way_m, speed_mps } => {
-                let there = recorded.actors_at(joined_us);
-                let actor = there.iter().find(|actor| actor.track == track)?;
+                let actors = recorded.actors_at(joined_us);
+                let actor = actors.iter().find(|actor| actor.track == track)?;
                 let joined = Follower::join(recorded, actor, joined_us)?;
                 joined.placed(way_m, speed_mps).map(Mover::Idm)
             }

@@ -56,16 +56,20 @@ impl ReactiveActor {
         let (pose, size) = (actor.cuboid.pose, actor.cuboid.size);
         let sign = self.cruise_mps.signum();
         let leader = self
-            .way_ahead(pose.translation.truncate(), pose.yaw_rad())
-            .and_then(|way| others.leader(actor.track, &way, size.x / 2.0, size.y));
+            .path_ahead(pose.translation.truncate(), pose.yaw_rad())
+            .and_then(|path| others.leader(actor.track, &path, size.x / 2.0, size.y));
         let speed_mps = (sign * actor.speed_mps).max(0.0);
         let rise = acceleration_mps2(speed_mps, self.cruise_mps.abs(), leader, dt_s);
         let next_mps = (speed_mps + rise * dt_s).clamp(0.0, self.cruise_mps.abs().max(speed_mps));
-        let way_m = sign * (speed_mps + next_mps) / 2.0 * dt_s;
+        let travelled_m = sign * (speed_mps + next_mps) / 2.0 * dt_s;
         // An arc's chord points along the yaw at its middle.
-        let turn_rad = self.curvature * way_m;
+        let turn_rad = self.curvature * travelled_m;
         let yaw_rad = pose.yaw_rad() + turn_rad / 2.0;
-        let chord_m = if turn_rad == 0.0 { way_m } else { way_m * (turn_rad / 2.0).sin() / (turn_rad / 2.0) };
+        let chord_m = if turn_rad == 0.0 {
+            travelled_m
+        } else {
+            travelled_m * (turn_rad / 2.0).sin() / (turn_rad / 2.0)
+        };
         let mut moved = pose.with_yaw(pose.yaw_rad() + turn_rad);
         moved.translation += (DVec2::from_angle(yaw_rad) * chord_m).extend(0.0);
         let cuboid = Cuboid { pose: moved, size };
@@ -74,7 +78,7 @@ impl ReactiveActor {
     }
 
     /// Returns the path ahead from the current position.
-    fn way_ahead(&self, from: DVec2, yaw_rad: f64) -> Option<Polyline> {
+    fn path_ahead(&self, from: DVec2, yaw_rad: f64) -> Option<Polyline> {
         let step_m = self.cruise_mps.signum() * STEP_M;
         let count = (CURVED_M / STEP_M) as usize;
         let mut at = from;

@@ -13,7 +13,7 @@ pub(super) fn course(path: &LocalPath, start_us: i64, ego: &EgoState) -> Option<
     let forward = DVec2::from_angle(ego.heading_rad());
     let global = |[x, y]: [f64; 2]| ego.position_m() + forward * x + forward.perp() * y;
     let begin = std::iter::once([0.0; 2]).chain(path.points().iter().copied());
-    let way = Polyline::new(begin.map(global))?;
-    let headings_rad = Course::headings_of(&way);
-    Some(Course { start_us, way, headings_rad, profile: preset::profile(ego.speed_mps) })
+    let path = Polyline::new(begin.map(global))?;
+    let headings_rad = Course::headings_of(&path);
+    Some(Course { start_us, path, headings_rad, profile: preset::profile(ego.speed_mps) })
 }

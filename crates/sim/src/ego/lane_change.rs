@@ -36,20 +36,20 @@ const NEAR_M: f64 = 5.0;
 pub(super) fn course(recorded: &Recorded<'_>, start_us: i64, ego: &EgoState) -> Option<Course> {
     let from = (ego.speed_mps, ego.acceleration_mps2);
     let profile = Profile::smooth(from, SPEED_MPS, ACCELERATION_MPS2, JERK_MPS3);
-    let change_m = profile.at(CHANGE_S).way_m.max(MIN_CHANGE_M);
+    let change_m = profile.at(CHANGE_S).travelled_m.max(MIN_CHANGE_M);
     let near_m = recorded.route.station_at(start_us);
     let recorded_line = recorded.route.line().filter(|line| leads_on(line, near_m, ego));
     let smooth = match recorded_line {
         Some(line) => {
-            let foot = line.foot(ego.position_m(), near_m - NEAR_M..near_m + NEAR_M);
-            Smooth::new(line, foot.station_m, change_m + NEAR_M)
+            let projection = line.project(ego.position_m(), near_m - NEAR_M..near_m + NEAR_M);
+            Smooth::new(line, projection.station_m, change_m + NEAR_M)
         }
         None => Smooth::new(&straight(ego.position_m(), ego.heading_rad())?, 0.0, change_m + NEAR_M),
     };
     let points = beside(&smooth, ego, change_m);
-    let way = Polyline::new(points.iter().map(|(place, _)| *place))?;
+    let path = Polyline::new(points.iter().map(|(place, _)| *place))?;
     let headings_rad: Vec<f64> = points.iter().map(|(_, yaw)| *yaw).collect();
-    (way.points().len() == headings_rad.len()).then_some(Course { start_us, way, headings_rad, profile })
+    (path.points().len() == headings_rad.len()).then_some(Course { start_us, path, headings_rad, profile })
 }
 
 /// Returns whether the recorded path continues from a station in the ego's direction.

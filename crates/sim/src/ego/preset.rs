@@ -35,12 +35,12 @@ impl Preset {
         let now = Waypoint::of(ego, t_us);
         let profile = profile(ego.speed_mps);
         let time_s = |i: usize| (i as i64 * STEP_US) as f64 / 1e6;
-        let way_m = |i: usize| profile.at(time_s(i)).way_m;
-        let (first_m, last_m) = (way_m(1), way_m(WAYPOINTS));
+        let travelled_m = |i: usize| profile.at(time_s(i)).travelled_m;
+        let (first_m, last_m) = (travelled_m(1), travelled_m(WAYPOINTS));
         let forward = DVec2::from_angle(now.heading_rad);
         let next = (1..=WAYPOINTS).map(|i| {
-            let (y_m, slope) = self.shape(way_m(i), first_m, last_m, plans);
-            let place = now.position_m() + forward * way_m(i) + forward.perp() * y_m;
+            let (y_m, slope) = self.shape(travelled_m(i), first_m, last_m, plans);
+            let place = now.position_m() + forward * travelled_m(i) + forward.perp() * y_m;
             Waypoint {
                 t_us: t_us + i as i64 * STEP_US,
                 x_m: place.x,

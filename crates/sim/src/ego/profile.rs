@@ -11,7 +11,7 @@ pub(super) struct Profile {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct ProfileState {
     /// Distance since the start, meters.
-    pub(super) way_m: f64,
+    pub(super) travelled_m: f64,
     pub(super) speed_mps: f64,
     pub(super) acceleration_mps2: f64,
 }
@@ -51,18 +51,18 @@ impl Profile {
 
     /// Returns the state at a non-negative time since the start, seconds.
     pub(super) fn at(&self, time_s: f64) -> ProfileState {
-        let (mut way_m, mut v, mut a, mut left_s) = (0.0, self.start_mps, self.start_mps2, time_s);
+        let (mut travelled_m, mut v, mut a, mut left_s) = (0.0, self.start_mps, self.start_mps2, time_s);
         for &(length_s, jerk) in &self.pieces {
             let t = left_s.min(length_s);
-            way_m += t * (v + t * (a / 2.0 + t * jerk / 6.0));
+            travelled_m += t * (v + t * (a / 2.0 + t * jerk / 6.0));
             v += t * (a + t * jerk / 2.0);
             a += t * jerk;
             left_s -= t;
             if left_s <= 0.0 {
-                return ProfileState { way_m, speed_mps: v, acceleration_mps2: a };
+                return ProfileState { travelled_m, speed_mps: v, acceleration_mps2: a };
             }
         }
-        ProfileState { way_m: way_m + left_s * v, speed_mps: v, acceleration_mps2: 0.0 }
+        ProfileState { travelled_m: travelled_m + left_s * v, speed_mps: v, acceleration_mps2: 0.0 }
     }
 }
 
@@ -75,10 +75,10 @@ mod tests {
     fn steady_acceleration_then_constant_speed() {
         let profile = Profile::steady(3.0, 6.0, 0.6);
         let drive = profile.at(2.0);
-        assert!((drive.way_m - 7.2).abs() < 1e-12 && (drive.speed_mps - 4.2).abs() < 1e-12);
+        assert!((drive.travelled_m - 7.2).abs() < 1e-12 && (drive.speed_mps - 4.2).abs() < 1e-12);
         let drive = profile.at(7.0);
-        assert!((drive.way_m - (22.5 + 12.0)).abs() < 1e-9 && (drive.speed_mps - 6.0).abs() < 1e-12);
-        assert_eq!(Profile::steady(8.0, 8.0, 0.6).at(2.0).way_m, 16.0);
+        assert!((drive.travelled_m - (22.5 + 12.0)).abs() < 1e-9 && (drive.speed_mps - 6.0).abs() < 1e-12);
+        assert_eq!(Profile::steady(8.0, 8.0, 0.6).at(2.0).travelled_m, 16.0);
     }
 
     proptest! {
@@ -98,8 +98,8 @@ mod tests {
                 prop_assert!(drive.speed_mps >= -1e-9 && drive.acceleration_mps2.abs() <= limit + 1e-9);
                 // The derivatives are consistent, whatever the segments: the trapezoidal rule is exact to dt
                 // squared.
-                let way = (before.speed_mps + drive.speed_mps) / 2.0 * dt;
-                prop_assert!((drive.way_m - before.way_m - way).abs() < 1e-8);
+                let distance_m = (before.speed_mps + drive.speed_mps) / 2.0 * dt;
+                prop_assert!((drive.travelled_m - before.travelled_m - distance_m).abs() < 1e-8);
                 let rise = (before.acceleration_mps2 + drive.acceleration_mps2) / 2.0 * dt;
                 prop_assert!((drive.speed_mps - before.speed_mps - rise).abs() < 1e-5);
                 prop_assert!((drive.acceleration_mps2 - before.acceleration_mps2).abs() <= jerk * dt + 1e-9);

@@ -24,10 +24,10 @@ pub(super) struct Place {
 
 impl Smooth {
     /// Fits a curve to a path from a station (meters) to its end, extended straight by `beyond_m`.
-    pub(super) fn new(way: &Polyline, start_m: f64, beyond_m: f64) -> Self {
-        let left_m = (way.length_m() - start_m).max(0.0) + beyond_m;
+    pub(super) fn new(path: &Polyline, start_m: f64, beyond_m: f64) -> Self {
+        let left_m = (path.length_m() - start_m).max(0.0) + beyond_m;
         let pieces = (left_m / SPACING_M).ceil().max(1.0) as i64;
-        let place = |i: i64| way.at(start_m + i as f64 * SPACING_M).0;
+        let place = |i: i64| path.at(start_m + i as f64 * SPACING_M).0;
         // Four controls determine the spline at a station; the first lies one spacing before the start.
         let control = |i: i64| (place(i) * 8.0 - place(i - 1) - place(i + 1)) / 6.0;
         Self { controls: (-1..=pieces + 1).map(control).collect() }
@@ -85,8 +85,8 @@ mod tests {
                 assert!((place.position_m.length() - radius_m).abs() < 0.02, "{}", place.position_m.length());
                 assert!((place.tangent.length() - 1.0).abs() < 0.02);
                 assert!((place.curvature * radius_m - 1.0).abs() < 0.12, "{}", place.curvature);
-                let way = before.position_m.distance(place.position_m);
-                assert!((way - 0.1).abs() < 0.002);
+                let distance_m = before.position_m.distance(place.position_m);
+                assert!((distance_m - 0.1).abs() < 0.002);
                 // Continuous: no jump where the set of controls changes.
                 assert!((place.curvature - before.curvature).abs() < 0.01);
                 before = place;

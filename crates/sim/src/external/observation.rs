@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use glam::DVec3;
 use point_skeleton::dataset::{Class, TrafficLight};
-use point_skeleton::geometry::Foot;
+use point_skeleton::geometry::LineProjection;
 use serde::Serialize;
 
 use crate::clock::Clock;
@@ -91,7 +91,7 @@ impl<'a> Observation<'a> {
             r#type: "observation",
             plan_dt: seconds(now.t_us, clock.at(now.step + clock.steps_per_plan)),
             now: State::new(recorded, now.step as i64, world, files),
-            path: path_ahead(recorded, world.foot),
+            path: path_ahead(recorded, world.projection),
             history: history
                 .states()
                 .map(|past| State::new(recorded, past.step, &past.world, &past.files))
@@ -102,7 +102,7 @@ impl<'a> Observation<'a> {
 
 impl<'a> State<'a> {
     fn new(recorded: &'a Recorded<'_>, step: i64, world: &'a World, files: &'a [PathBuf]) -> Self {
-        let World { instant, foot, .. } = world;
+        let World { instant, projection, .. } = world;
         let light =
             |light: &'a TrafficLight| Light { lane_connector: &light.lane_connector, color: &light.color };
         Self {
@@ -111,7 +111,7 @@ impl<'a> State<'a> {
             ego: Ego::new(&instant.ego),
             actors: instant.actors.iter().map(|actor| Actor::new(recorded, actor)).collect(),
             lights: instant.lights.iter().map(light).collect(),
-            driving_command: recorded.route.command(*foot),
+            driving_command: recorded.route.command(*projection),
             files,
         }
     }
@@ -158,7 +158,7 @@ impl<'a> Actor<'a> {
 }
 
 /// Returns the recorded path ahead of the ego's projection, global meters; empty if the ego never moved.
-fn path_ahead(recorded: &Recorded<'_>, ego: Foot) -> Vec<[f64; 2]> {
+fn path_ahead(recorded: &Recorded<'_>, ego: LineProjection) -> Vec<[f64; 2]> {
     let Some(line) = recorded.route.line() else { return Vec::new() };
     let from_m = ego.station_m.clamp(0.0, line.length_m());
     let to_m = (from_m + AHEAD_M).min(line.length_m());

@@ -13,7 +13,7 @@ pub use statistics::{Deviation, Range};
 
 use std::collections::BTreeSet;
 
-use point_skeleton::geometry::{Foot, wrap_angle};
+use point_skeleton::geometry::{LineProjection, wrap_angle};
 use serde::{Deserialize, Serialize};
 
 use self::comfort::ComfortTally;
@@ -86,7 +86,7 @@ impl MetricsAccumulator {
     /// Adds an instant.
     pub(super) fn add(&mut self, recorded: &Recorded<'_>, road: Option<&Road>, world: &World) {
         let now = &world.instant;
-        self.go(&recorded.route, now, world.foot);
+        self.update_progress(&recorded.route, now, world.projection);
         let hits = collision::contacts(now, &recorded.log.tracks, road, &self.collided);
         self.collided.extend(hits.iter().map(|(track, _)| *track));
         self.collisions.extend(hits.into_iter().map(|(_, collision)| collision));
@@ -101,16 +101,17 @@ impl MetricsAccumulator {
     }
 
     /// Updates progress along the path and deviations from it.
-    fn go(&mut self, route: &Route, now: &Instant, foot: Foot) {
+    fn update_progress(&mut self, route: &Route, now: &Instant, projection: LineProjection) {
         self.log_m = route.station_at(now.t_us);
-        self.station_m = foot.station_m;
+        self.station_m = projection.station_m;
         if self.instants == 0 {
             (self.start_us, self.start_m, self.log_start_m) = (now.t_us, self.station_m, self.log_m);
         }
         self.end_us = now.t_us;
         self.instants += 1;
-        self.lateral.add(foot.offset_m, self.instants);
-        self.heading.add(wrap_angle(now.ego.heading_rad() - route.yaw_at(foot.station_m)), self.instants);
+        self.lateral.add(projection.offset_m, self.instants);
+        self.heading
+            .add(wrap_angle(now.ego.heading_rad() - route.yaw_at(projection.station_m)), self.instants);
     }
 
     /// Returns the number of instants with a part of the ego off the road; 0 without a map.

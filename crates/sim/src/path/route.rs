@@ -1,6 +1,6 @@
 use glam::DVec2;
 use point_skeleton::dataset::EgoTrack;
-use point_skeleton::geometry::{Foot, Polyline, Pose};
+use point_skeleton::geometry::{LineProjection, Polyline, Pose};
 
 use super::pose_path::PosePath;
 use crate::time::seconds;
@@ -20,7 +20,7 @@ pub(crate) struct Route {
     /// Times at which the ego reached the points of the route, absolute microseconds.
     times_us: Vec<i64>,
     /// `None` if the ego never moved.
-    way: Option<PosePath>,
+    path: Option<PosePath>,
 }
 
 /// Part of a route around the ego's last position. Projections are restricted to it: a route can cross itself
@@ -35,26 +35,26 @@ pub(crate) struct RouteWindow<'a> {
 impl Route {
     /// Builds the route from the ego's recorded poses.
     pub(crate) fn new(track: &EgoTrack) -> Self {
-        let (mut times_us, mut kept): (Vec<i64>, Vec<Pose>) = Default::default();
+        let (mut times_us, mut retained): (Vec<i64>, Vec<Pose>) = Default::default();
         let place = |pose: &Pose| pose.translation.truncate();
         for (t_us, pose) in track.poses().iter().filter(|(_, pose)| pose.translation.is_finite()) {
-            if kept.last().is_none_or(|last| place(last).distance(place(pose)) >= KNOT_STEP_M) {
+            if retained.last().is_none_or(|last| place(last).distance(place(pose)) >= KNOT_STEP_M) {
                 times_us.push(*t_us);
-                kept.push(*pose);
+                retained.push(*pose);
             }
         }
-        let first = kept.first().copied().unwrap_or(Pose::IDENTITY);
-        let way = PosePath::new(kept);
-        Self { first, times_us, way }
+        let first = retained.first().copied().unwrap_or(Pose::IDENTITY);
+        let path = PosePath::new(retained);
+        Self { first, times_us, path }
     }
 
     /// Returns the station (meters) of the ego at a time, microseconds.
     pub(crate) fn station_at(&self, t_us: i64) -> f64 {
-        let Some(way) = &self.way else { return 0.0 };
-        let stations = way.line().stations_m();
+        let Some(path) = &self.path else { return 0.0 };
+        let stations = path.line().stations_m();
         let next = self.times_us.partition_point(|at| *at <= t_us);
         let (Some(before), true) = (next.checked_sub(1), next < stations.len()) else {
-            return if next == 0 { 0.0 } else { way.line().length_m() };
+            return if next == 0 { 0.0 } else { path.line().length_m() };
         };
         let s = seconds(self.times_us[before], t_us) / seconds(self.times_us[before], self.times_us[next]);
         stations[before] + s * (stations[next] - stations[before])
@@ -62,7 +62,7 @@ impl Route {
 
     /// Returns the route in x and y; `None` if the ego never moved.
     pub(crate) fn line(&self) -> Option<&Polyline> {
-        self.way.as_ref().map(PosePath::line)
+        self.path.as_ref().map(PosePath::line)
     }
 
     /// Returns the recorded yaw (radians) at a station, meters.
@@ -73,7 +73,7 @@ impl Route {
     /// Returns the driving command at a projection of the ego: `left` or `right` if the route, 20 m ahead or
     /// at its end, is at least 2 m beside its direction here, else `straight`; `unknown` past its end.
     /// Source: OpenScene, which does so with the center line of the map's route.
-    pub(crate) fn command(&self, ego: Foot) -> &'static str {
+    pub(crate) fn command(&self, ego: LineProjection) -> &'static str {
         let Some(line) = self.line().filter(|line| ego.station_m < line.length_m()) else { return "unknown" };
         let from_m = ego.station_m.max(0.0);
         let arm = line.at((from_m + COMMAND_AHEAD_M).min(line.length_m())).0 - line.at(from_m).0;
@@ -90,26 +90,26 @@ impl Route {
     }
 
     fn ground(&self, station_m: f64) -> Pose {
-        self.way.as_ref().map_or(self.first, |way| way.at(station_m))
+        self.path.as_ref().map_or(self.first, |path| path.at(station_m))
     }
 }
 
 impl RouteWindow<'_> {
     /// Projects a position (global, meters) onto the route.
-    pub(crate) fn foot(&self, place: DVec2) -> Foot {
-        if let Some(way) = &self.route.way {
+    pub(crate) fn project(&self, place: DVec2) -> LineProjection {
+        if let Some(path) = &self.route.path {
             let reach_m = WINDOW_M + self.place_m.distance(place);
-            return way.line().foot(place, self.station_m - reach_m..self.station_m + reach_m);
+            return path.line().project(place, self.station_m - reach_m..self.station_m + reach_m);
         }
         let first = &self.route.first;
         let (forward, arm) = (DVec2::from_angle(first.yaw_rad()), place - first.translation.truncate());
-        Foot { station_m: forward.dot(arm), offset_m: forward.perp_dot(arm) }
+        LineProjection { station_m: forward.dot(arm), offset_m: forward.perp_dot(arm) }
     }
 
     /// Returns a pose at a position (global, meters) with a yaw (radians). Height and tilt come from the
     /// recorded ego at the nearest position on the route.
     pub(crate) fn pose_at(&self, place: DVec2, yaw_rad: f64) -> Pose {
-        let ground = self.route.ground(self.foot(place).station_m);
+        let ground = self.route.ground(self.project(place).station_m);
         let mut pose = ground.with_yaw(yaw_rad);
         pose.translation = place.extend(ground.translation.z);
         pose
@@ -138,7 +138,8 @@ mod tests {
     #[test]
     fn driving_commands_look_20_m_ahead() {
         let straight = route(&[0.0, 10.0, 20.0, 30.0].map(|x| Pose::from_yaw(0.0, DVec3::X * x)));
-        let command = |route: &Route, station_m: f64| route.command(Foot { station_m, offset_m: 1.0 });
+        let command =
+            |route: &Route, station_m: f64| route.command(LineProjection { station_m, offset_m: 1.0 });
         assert_eq!(
             [-5.0, 0.0, 29.0, 30.0].map(|s| command(&straight, s)),
             ["straight", "straight", "straight", "unknown"]
@@ -172,8 +173,8 @@ mod tests {
         let forward = found.rotation * DVec3::X;
         assert!((forward.z - 0.1f64.atan().sin()).abs() < 1e-12, "the nose stays up: {forward}");
         assert_eq!([-1, 0, 1, 2, 9].map(|t| route.station_at(t)), [0.0, 0.0, 10.0, 20.0, 20.0]);
-        let foot = stretch.foot(DVec2::new(12.0, 3.0));
-        assert!((foot.station_m - 12.0).abs() < 1e-12 && (foot.offset_m - 3.0).abs() < 1e-12);
+        let projection = stretch.project(DVec2::new(12.0, 3.0));
+        assert!((projection.station_m - 12.0).abs() < 1e-12 && (projection.offset_m - 3.0).abs() < 1e-12);
         assert_eq!(route.yaw_at(12.0), 0.0);
     }
 
@@ -189,11 +190,11 @@ mod tests {
             [(45.0, DVec2::new(45.0, 0.0), 51.0, 8.0), (245.0, DVec2::new(50.0, 5.0), 248.0, 0.0)]
         {
             let stretch = route.around(station_m, before);
-            assert!((stretch.foot(crossing).station_m - expected_m).abs() < 1e-9, "{station_m}");
+            assert!((stretch.project(crossing).station_m - expected_m).abs() < 1e-9, "{station_m}");
             assert!((stretch.pose_at(crossing, 0.0).translation.z - height_m).abs() < 1e-9, "{station_m}");
         }
         // A long step widens the search window by its length.
-        let far = route.around(20.0, DVec2::new(20.0, 0.0)).foot(DVec2::new(100.0, 40.0));
+        let far = route.around(20.0, DVec2::new(20.0, 0.0)).project(DVec2::new(100.0, 40.0));
         assert!((far.station_m - 140.0).abs() < 1e-9 && far.offset_m.abs() < 1e-9);
     }
 
@@ -204,7 +205,7 @@ mod tests {
         assert!(route.line().is_none());
         let stretch = route.around(0.0, DVec2::new(5.0, 6.0));
         assert_eq!(stretch.pose_at(DVec2::new(5.0, 9.0), 0.0).translation, DVec3::new(5.0, 9.0, 7.0));
-        let foot = stretch.foot(DVec2::new(4.0, 9.0));
-        assert!((foot.station_m - 3.0).abs() < 1e-12 && (foot.offset_m - 1.0).abs() < 1e-12);
+        let projection = stretch.project(DVec2::new(4.0, 9.0));
+        assert!((projection.station_m - 3.0).abs() < 1e-12 && (projection.offset_m - 1.0).abs() < 1e-12);
     }
 }

@@ -85,11 +85,11 @@ impl Trajectory {
     pub fn at(&self, t_us: i64) -> Waypoint {
         let next = self.waypoints.partition_point(|w| w.t_us < t_us);
         match (self.waypoints[..next].last(), self.waypoints.get(next)) {
-            (_, Some(there)) if there.t_us == t_us => *there,
+            (_, Some(waypoint)) if waypoint.t_us == t_us => *waypoint,
             (Some(before), Some(after)) => before.between(after, t_us),
             (Some(last), None) => {
-                let way_m = last.speed_mps * seconds(last.t_us, t_us);
-                let place = last.position_m() + DVec2::from_angle(last.heading_rad) * way_m;
+                let travelled_m = last.speed_mps * seconds(last.t_us, t_us);
+                let place = last.position_m() + DVec2::from_angle(last.heading_rad) * travelled_m;
                 Waypoint { t_us, x_m: place.x, y_m: place.y, ..*last }
             }
             (None, _) => Waypoint { t_us, ..self.waypoints[0] },
@@ -104,11 +104,15 @@ impl Trajectory {
         let around = next.checked_sub(1).map(|i| &self.waypoints[i]).zip(self.waypoints.get(next));
         let Some((before, after)) = around else { return (0.0, 0.0) };
         let acceleration = (after.speed_mps - before.speed_mps) / seconds(before.t_us, after.t_us);
-        let way_m = before.position_m().distance(after.position_m());
+        let travelled_m = before.position_m().distance(after.position_m());
         // Waypoints at one position do not define a curvature.
         let turn_rad = wrap_angle(after.heading_rad - before.heading_rad);
         let backward = before.speed_mps + after.speed_mps < 0.0;
-        let curvature = if way_m < 1e-3 { 0.0 } else { turn_rad / if backward { -way_m } else { way_m } };
+        let curvature = if travelled_m < 1e-3 {
+            0.0
+        } else {
+            turn_rad / if backward { -travelled_m } else { travelled_m }
+        };
         (acceleration, curvature)
     }
 }

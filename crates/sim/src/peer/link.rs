@@ -76,7 +76,7 @@ impl Link {
         // An unsolicited answer would be taken for the answer to this message.
         if let Ok(heard) = self.answers.try_recv() {
             let unasked = self.message(heard)?;
-            let expected = format!("no {} that was not asked for", self.framing.unit());
+            let expected = format!("no unsolicited {}", self.framing.unit());
             return Err(self.wrong(expected, begin_of(&unasked)));
         }
         match self.messages.as_ref().map(|messages| messages.try_send(message)) {

@@ -32,7 +32,7 @@ pub struct StepImages {
 
 /// Content of `generated.json`.
 #[derive(Serialize, Deserialize)]
-struct About {
+struct GeneratedMetadata {
     kind: Kind,
 }
 
@@ -60,7 +60,7 @@ pub fn write(folder: &Path, cameras: &[FileName], step: &StepImages) -> Result<(
         }
     }
     let kind = if step.is_reference { Kind::Reference } else { Kind::Generated };
-    write_json(&folder.join(KIND), &About { kind })
+    write_json(&folder.join(KIND), &GeneratedMetadata { kind })
 }
 
 /// Reads the images from the folder of a step; `None` if there are none.
@@ -94,7 +94,8 @@ pub fn is_reference(folder: &Path) -> Result<Option<bool>, FileError> {
     if !is_there(&path)? && !folder.join(GENERATED).is_dir() {
         return Ok(None);
     }
-    let About { kind } = json::read(&path, "kind \"generated\" or \"reference\" of the step's images")?;
+    let GeneratedMetadata { kind } =
+        json::read(&path, "kind \"generated\" or \"reference\" of the step's images")?;
     Ok(Some(kind == Kind::Reference))
 }
 

@@ -2,19 +2,19 @@
 //!
 //! # How it works
 //! All reports are created from the files in the folders of the steps and from the lines of `states.jsonl`. A
-//! rollout that was interrupted and resumed therefore gives the same bytes as an uninterrupted one. [`sight`]
-//! determines which actors are visible, [`view`] writes the images of a step, [`page`] writes the HTML page,
-//! and, with the feature `video`, `film` composes images into frames of the `video`.
+//! rollout that was interrupted and resumed therefore gives the same bytes as an uninterrupted one.
+//! [`visibility`] determines which actors are visible, [`view`] writes the images of a step, [`page`] writes
+//! the HTML page, and, with the feature `video`, `video_frame` composes images into frames of the `video`.
 
-#[cfg(feature = "video")]
-pub mod film;
 pub mod images;
 pub mod page;
 mod row;
-pub mod sight;
 #[cfg(feature = "video")]
 mod video;
+#[cfg(feature = "video")]
+pub mod video_frame;
 pub mod view;
+pub mod visibility;
 
 /// File that marks a folder as a rollout, and records its source and options.
 pub const ROLLOUT: &str = "rollout.json";

@@ -12,7 +12,7 @@ use point_skeleton::files::json;
 use point_skeleton::files::write_whole;
 use serde::{Deserialize, Serialize};
 
-use super::sight::{SEEN_PX, VisibleActor, was_shown};
+use super::visibility::{MIN_VISIBLE_PX, VisibleActor, was_in_logged_images};
 use crate::{Deviation, EgoState, Instant, SimActor, Waypoint};
 
 /// A line of `states.jsonl`: a committed step.
@@ -92,8 +92,8 @@ pub struct ActorRow {
     pub yaw_rate_radps: f64,
     /// Cameras whose maps show the actor; null without instance maps.
     pub seen: Option<Vec<VisibleActor>>,
-    /// Cameras that show at least [`SEEN_PX`] pixels of the actor, and whose own logged images around that
-    /// time did not show it; null without instance maps.
+    /// Cameras that show at least [`MIN_VISIBLE_PX`] pixels of the actor, and whose own logged images around
+    /// that time did not show it; null without instance maps.
     pub new_in_view: Option<Vec<usize>>,
 }
 
@@ -202,7 +202,8 @@ impl ActorRow {
         let track = &log.tracks[actor.track];
         let channel = |camera: usize| log.rig.get(camera).map_or(camera, |rig| rig.channel);
         let new = |seen: &&VisibleActor| {
-            seen.pixels >= SEEN_PX && !was_shown(log, actor.track, channel(seen.camera), t_us)
+            seen.pixels >= MIN_VISIBLE_PX
+                && !was_in_logged_images(log, actor.track, channel(seen.camera), t_us)
         };
         let new_in_view = seen.as_ref().map(|seen| seen.iter().filter(new).map(|seen| seen.camera).collect());
         Self {

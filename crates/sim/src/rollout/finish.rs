@@ -17,7 +17,7 @@ use super::output::video;
 use super::report::RolloutReport;
 use super::sources::Sources;
 use crate::report::page::{self, Page, PageActor, PageEvent, PageStep};
-use crate::report::{ActorRow, Phase, StepRow, sight};
+use crate::report::{ActorRow, Phase, StepRow, visibility};
 use crate::{Collision, EndReason, Metrics};
 
 /// Names and colors of the lines in the bird's-eye view.
@@ -106,7 +106,7 @@ fn page(output: &Output<'_>, report: &RolloutReport) -> Page {
         acceleration_mps2: row.ego.acceleration_mps2,
         lateral_m: Some(row.ego.lateral_deviation_m),
         heading_rad: Some(row.ego.heading_deviation_rad),
-        fresh: fresh(row, report),
+        fresh: newly_visible(row, report),
     };
     let mut table = serde_json::to_value(&report.metrics).map(|v| page::table(&v)).unwrap_or_default();
     let notes = report.notes.iter().map(|(note, count)| [format!("note: {note}"), count.to_string()]);
@@ -133,8 +133,8 @@ fn page(output: &Output<'_>, report: &RolloutReport) -> Page {
 }
 
 /// Returns the actors that newly enter a camera's view, with their boxes in the page's image.
-fn fresh(row: &StepRow, report: &RolloutReport) -> Vec<PageActor> {
-    let place = |seen: &sight::VisibleActor| {
+fn newly_visible(row: &StepRow, report: &RolloutReport) -> Vec<PageActor> {
+    let place = |seen: &visibility::VisibleActor| {
         let place = report.layout.cameras.get(seen.camera)?;
         let (_, [width, height]) = report.cameras.get(seen.camera)?;
         let [x, y] =

@@ -107,7 +107,7 @@ impl<'a> Rollout<'a> {
             None => Simulation::new(scenario, options.simulation.clone())?,
         };
         if let (Some(earlier), Some((folder, _)), true) = (&earlier, &out, has_planner) {
-            simulation.recall(earlier.history(folder)?)?;
+            simulation.restore_history(earlier.history(folder)?)?;
         }
         let rates = simulation.rates();
         let record = RolloutRecord {

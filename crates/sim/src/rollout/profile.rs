@@ -113,7 +113,7 @@ impl Profile {
     /// Formats the summary: the median step, its parts, and the rate.
     pub fn summary(&self) -> String {
         if self.steps.is_empty() {
-            return "no step was left to take".to_owned();
+            return "no steps left to simulate".to_owned();
         }
         let ms = |name: &str| 1e3 * self.medians.get(name).copied().unwrap_or(0.0);
         let names = ["write_maps_s", "write_view_s", "write_birdseye_s", "write_rest_s"];
@@ -143,14 +143,13 @@ impl Profile {
             return String::new();
         }
         if made == 0 {
-            return "no frame generated, all are references: expected more plan steps than those; "
-                .to_owned();
+            return "no frames generated: all planning steps are references; ".to_owned();
         }
         let ms = |name: &str| 1e3 * self.medians.get(name).copied().unwrap_or(0.0);
         format!(
             "{made} frames generated, median {:.0} ms ({:.2} a second): network {:.0}, conditions {:.0}, \
                 forecasts {:.0}, images \
-             {:.1}, and {:.0} for true images; ",
+             {:.1}, ground-truth images {:.0}; ",
             ms("generate_s"),
             1e3 / ms("generate_s").max(1e-6),
             ms("generate_network_s"),
@@ -207,7 +206,7 @@ mod tests {
             "{text}"
         );
         assert_eq!(median(std::iter::empty()), None);
-        assert_eq!(Profile::default().summary(), "no step was left to take");
+        assert_eq!(Profile::default().summary(), "no steps left to simulate");
         let json = serde_json::to_value(&profile).unwrap();
         assert_eq!(
             (&json["medians"]["policies_s"], json["steps"].as_array().unwrap().len()),

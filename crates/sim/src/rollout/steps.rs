@@ -19,7 +19,7 @@ use super::output::files::{shown_files, step_folder};
 use super::output::{Job, Output};
 use super::profile::{StepTimes, WriteTimes, lap};
 use super::report::RolloutReport;
-use crate::report::{Phase, StateFile, StepObservations, StepRow, sight, view};
+use crate::report::{Phase, StateFile, StepObservations, StepRow, view, visibility};
 use crate::{Instant, Metrics, SavedState, Scenario, Simulation, StepOutcome, Waypoint, scene_state};
 
 /// State shared by all steps.
@@ -52,7 +52,7 @@ struct Loop<'l, 'a, 'r, 'g> {
 }
 
 /// A committed step whose maps are in flight. The simulation may be one step ahead.
-struct Begun {
+struct PendingStep {
     /// Whether the step is new, rather than one of an earlier run whose maps are needed for the layout of the
     /// page.
     is_new: bool,
@@ -73,8 +73,8 @@ struct Writer {
 }
 
 impl Steps<'_> {
-    /// Simulates and renders step by step, while another thread writes. `kept` has the steps of an earlier
-    /// run; the last one is the current state of the simulation. Without `states` nothing is written.
+    /// Simulates and renders step by step, while another thread writes. `retained` has the steps of an
+    /// earlier run; the last one is the current state of the simulation. Without `states` nothing is written.
     ///
     /// Fails if a step cannot be written; other failures are in [`RolloutReport::failure`].
     pub(super) fn run(
@@ -82,7 +82,7 @@ impl Steps<'_> {
         simulation: Simulation<'_>,
         renderer: &mut Renderer<'_>,
         generation: Option<&mut Generation<'_>>,
-        kept: Vec<StepRow>,
+        retained: Vec<StepRow>,
         states: Option<StateFile>,
         on_step: &mut dyn FnMut(&str),
     ) -> Result<RolloutReport, RolloutError> {
@@ -102,8 +102,8 @@ impl Steps<'_> {
             let writer = writes.then_some(Writer { sender, written });
             let track = EgoTrack::new(self.scenario.log);
             let recorded = track.poses().iter().map(|(_, pose)| pose.translation.truncate()).collect();
-            let plan = kept.iter().rev().find_map(|row| row.plan.clone()).unwrap_or_default();
-            let run = RolloutReport::new(kept, simulation.metrics());
+            let plan = retained.iter().rev().find_map(|row| row.plan.clone()).unwrap_or_default();
+            let run = RolloutReport::new(retained, simulation.metrics());
             let all = Loop {
                 steps: self,
                 simulation,
@@ -141,7 +141,7 @@ impl Loop<'_, '_, '_, '_> {
         let mut pipeline = if alone { Pipeline::with_depth(1) } else { Pipeline::default() };
         loop {
             let step = pipeline.next(&mut self, Self::begin, Self::finish).and_then(|step| match step {
-                Some((begun, (set, finish_s))) => self.complete(begun, set, finish_s, on_step),
+                Some((pending, (set, finish_s))) => self.complete(pending, set, finish_s, on_step),
                 None => Ok(false),
             });
             match step {
@@ -164,7 +164,7 @@ impl Loop<'_, '_, '_, '_> {
 
     /// Begins the next step; `None` once the rollout is over. After an error, the steps in flight can be
     /// finished.
-    fn begin(&mut self) -> Result<Option<Begun>, RolloutError> {
+    fn begin(&mut self) -> Result<Option<PendingStep>, RolloutError> {
         if self.failure.is_some() {
             return Ok(None);
         }
@@ -175,7 +175,7 @@ impl Loop<'_, '_, '_, '_> {
     }
 
     /// Commits the next step and begins its maps. The first step is the current state of the simulation.
-    fn begin_next(&mut self) -> Result<Option<Begun>, RolloutError> {
+    fn begin_next(&mut self) -> Result<Option<PendingStep>, RolloutError> {
         let mut clock = Clock::now();
         let is_first = !std::mem::replace(&mut self.has_begun, true);
         let plan = match is_first {
@@ -191,7 +191,7 @@ impl Loop<'_, '_, '_, '_> {
         let state = self.steps.state(&instant);
         self.renderer.begin_with(&state, &self.steps.maps).map_err(RolloutError::step(&state.name))?;
         times.begin_s = lap(&mut clock);
-        Ok(Some(Begun {
+        Ok(Some(PendingStep {
             is_new: !is_first || self.run.rows.is_empty(),
             state,
             instant,
@@ -204,9 +204,9 @@ impl Loop<'_, '_, '_, '_> {
     }
 
     /// Waits for the maps of a step. Returns the time that this took, seconds.
-    fn finish(&mut self, begun: &Begun) -> Result<(ConditionSet, f64), RolloutError> {
+    fn finish(&mut self, pending: &PendingStep) -> Result<(ConditionSet, f64), RolloutError> {
         let mut clock = Clock::now();
-        let Maps { set, .. } = self.renderer.finish().map_err(RolloutError::step(&begun.state.name))?;
+        let Maps { set, .. } = self.renderer.finish().map_err(RolloutError::step(&pending.state.name))?;
         Ok((set, lap(&mut clock)))
     }
 
@@ -214,12 +214,13 @@ impl Loop<'_, '_, '_, '_> {
     /// whose result has the error.
     fn complete(
         &mut self,
-        begun: Begun,
+        pending: PendingStep,
         set: ConditionSet,
         finish_s: f64,
         on_step: &mut dyn FnMut(&str),
     ) -> Result<bool, RolloutError> {
-        let Begun { is_new, state, instant, plan, metrics, driving_command, saved, mut times } = begun;
+        let PendingStep { is_new, state, instant, plan, metrics, driving_command, saved, mut times } =
+            pending;
         times.finish_s = finish_s;
         let mut clock = Clock::now();
         if self.run.cameras.is_empty() {
@@ -231,7 +232,7 @@ impl Loop<'_, '_, '_, '_> {
                 lateral: metrics.lateral_deviation_m,
                 heading: metrics.heading_deviation_rad,
                 driving_command,
-                seen: sight::seen(&set, instant.actors.len()),
+                seen: visibility::visible_actors(&set, instant.actors.len()),
             };
             let by_log = instant.step <= self.steps.output.record.takeover_step;
             let phase = if by_log { Phase::WarmUp } else { Phase::Policy };
@@ -252,7 +253,7 @@ impl Loop<'_, '_, '_, '_> {
             let traces = self.traces(instant.t_us);
             on_step(&name);
             let (job, clock) = (Job { state, set, row, saved, traces, forecast, images }, &mut Clock::now());
-            let is_up = self.hand_over(job);
+            let is_up = self.send_to_writer(job);
             times.wait_s = lap(clock);
             if !is_up {
                 return Ok(false);
@@ -294,7 +295,7 @@ impl Loop<'_, '_, '_, '_> {
     }
 
     /// Sends a step to the writer thread, and waits until it is written if a planner receives its files.
-    fn hand_over(&self, job: Job) -> bool {
+    fn send_to_writer(&self, job: Job) -> bool {
         let Some(writer) = &self.writer else { return true };
         writer.sender.send(job).is_ok() && (!self.steps.shown_to_planner || writer.written.recv().is_ok())
     }

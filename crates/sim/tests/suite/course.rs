@@ -22,8 +22,8 @@ fn all(sim: &mut Simulation<'_>) -> Vec<Instant> {
 /// Returns the ego's offset to the left of the log's path, meters, from straight segments between all poses.
 fn offset_m(log: &Recording, instant: &Instant) -> f64 {
     let track = EgoTrack::new(log);
-    let way = Polyline::new(track.poses().iter().map(|(_, p)| p.translation.truncate())).unwrap();
-    way.foot(instant.ego.position_m(), 0.0..way.length_m()).offset_m
+    let line = Polyline::new(track.poses().iter().map(|(_, p)| p.translation.truncate())).unwrap();
+    line.project(instant.ego.position_m(), 0.0..line.length_m()).offset_m
 }
 
 /// Checks the properties of a lane change in a rollout of 8.2 s after a warm-up of five plans.
@@ -174,8 +174,8 @@ fn straight_policy_drives_straight() {
         let arm = instant.ego.position_m() - start.position_m();
         let forward = DVec2::from_angle(start.heading_rad());
         // Above 6 m/s the speed is constant.
-        let way = start.speed_mps * instant.step as f64 / 10.0;
-        assert!((forward.dot(arm) - way).abs() < 1e-6 && forward.perp_dot(arm).abs() < 1e-6);
+        let distance_m = start.speed_mps * instant.step as f64 / 10.0;
+        assert!((forward.dot(arm) - distance_m).abs() < 1e-6 && forward.perp_dot(arm).abs() < 1e-6);
     }
 }
 
@@ -191,13 +191,13 @@ fn a_path_relative_to_each_plan_continues() {
         all(&mut winding_road::start(&log, &SimOptions { steps: 200, ego, ..SimOptions::default() }));
     let start = instants[0].ego.pose;
     let center = DVec2::from_angle(start.yaw_rad()).perp() * 20.0 + start.translation.truncate();
-    let way_m = instants[0].ego.speed_mps * 20.0;
-    assert!(way_m > 20.0 * std::f64::consts::TAU, "more than once around");
+    let travelled_m = instants[0].ego.speed_mps * 20.0;
+    assert!(travelled_m > 20.0 * std::f64::consts::TAU, "more than once around");
     for instant in &instants {
         let off = instant.ego.position_m().distance(center) - 20.0;
         assert!(off.abs() < 0.05, "{off} at step {}", instant.step);
     }
-    let turned = wrap_angle(instants[200].ego.heading_rad() - start.yaw_rad() - way_m / 20.0);
+    let turned = wrap_angle(instants[200].ego.heading_rad() - start.yaw_rad() - travelled_m / 20.0);
     assert!(turned.abs() < 0.01, "{turned}");
 }
 
@@ -216,8 +216,8 @@ fn follows_the_points_of_a_file() {
         let arc_m = 20.0 * std::f64::consts::FRAC_PI_2;
         let center = DVec2::from_angle(start.yaw_rad()).perp() * 20.0 + start.translation.truncate();
         for instant in &instants {
-            let way = instants[0].ego.speed_mps * instant.step as f64 / 10.0;
-            if way < arc_m {
+            let distance_m = instants[0].ego.speed_mps * instant.step as f64 / 10.0;
+            if distance_m < arc_m {
                 let off = instant.ego.position_m().distance(center) - 20.0;
                 assert!(off.abs() < limit_m, "{tracking:?} {off} at step {}", instant.step);
             }

@@ -40,22 +40,22 @@ fn script(folder: &Path, lines: &str) -> PlannerAddress {
 /// Drives with the example planner; returns a description of every step.
 fn assert_drives(log: &Recording, options: SimOptions) -> Vec<String> {
     let mut sim = Simulation::new(&winding_road::scenario(log), options).unwrap();
-    let mut told = Vec::new();
+    let mut reported = Vec::new();
     while let Some(outcome) = sim.step().unwrap() {
-        told.push(format!("{:?} {outcome:?}", sim.committed()));
+        reported.push(format!("{:?} {outcome:?}", sim.committed()));
     }
     assert_eq!(sim.ended(), Some(EndReason::Steps));
     let metrics = sim.metrics();
     assert!(metrics.lateral_deviation_m.max < 0.5, "{metrics:?}");
     assert!(metrics.progress_m > 25.0 && metrics.collisions.is_empty(), "{metrics:?}");
-    told
+    reported
 }
 
 #[test]
 fn the_example_drives_over_pipes() {
     let log = winding_road::log(6);
     let address = command(format!("exec python3 {}", example().display()));
-    let told = assert_drives(&log, options(address.clone(), 20.0));
+    let reported = assert_drives(&log, options(address.clone(), 20.0));
     // With a planner that depends only on its observations, rollouts can be repeated and resumed.
     let mut sim = Simulation::new(&winding_road::scenario(&log), options(address.clone(), 20.0)).unwrap();
     for _ in 0..21 {
@@ -64,7 +64,7 @@ fn the_example_drives_over_pipes() {
     let saved: SavedState = serde_json::from_value(serde_json::to_value(sim.save()).unwrap()).unwrap();
     let mut resumed =
         Simulation::resume(&winding_road::scenario(&log), options(address.clone(), 20.0), &saved).unwrap();
-    for line in &told[21..] {
+    for line in &reported[21..] {
         let outcome = resumed.step().unwrap().unwrap();
         assert_eq!(&format!("{:?} {outcome:?}", resumed.committed()), line);
     }
@@ -221,16 +221,16 @@ fn planners_receive_the_past_once() {
         );
         let centers: Vec<serde_json::Value> =
             frame.boxes.iter().map(|b| b.cuboid.pose.translation.x.into()).collect();
-        let told: Vec<_> =
+        let reported: Vec<_> =
             past["actors"].as_array().unwrap().iter().map(|actor| actor["x"].clone()).collect();
-        assert_eq!(told, centers);
+        assert_eq!(reported, centers);
         let files = if step < 0 { serde_json::json!([]) } else { serde_json::json!([format!("{step}.png")]) };
         assert_eq!(past["files"], files);
     }
     // A resumed rollout has a new planner, which sees the past again.
     let last = saved.pop().unwrap();
     let mut resumed = Simulation::resume(&scenario, options, &last.0).unwrap();
-    resumed.recall(saved).unwrap();
+    resumed.restore_history(saved).unwrap();
     while resumed.step().unwrap().is_some() {}
     let again = &seen(folder.path())[4];
     assert_eq!((steps(again), &again["step"]), ((-12..8).collect(), &8.into()));
@@ -281,13 +281,13 @@ fn planners_receive_route_and_map() {
         drop(Simulation::new(&winding_road::scenario(log), options(recorder(folder.path()), 20.0)).unwrap());
         seen(folder.path()).swap_remove(0)
     };
-    let told = |log: &Recording| {
+    let reported = |log: &Recording| {
         let hello = hello(log);
         ["route", "goal", "map"].map(|key| hello[key].clone())
     };
     let json = |value| -> serde_json::Value { value };
-    assert_eq!(told(&plain), [json(serde_json::json!([])), json(().into()), json(().into())]);
-    let [route, goal, map] = told(&routed);
+    assert_eq!(reported(&plain), [json(serde_json::json!([])), json(().into()), json(().into())]);
+    let [route, goal, map] = reported(&routed);
     assert_eq!(route, serde_json::json!(["2"]), "the route at step 4");
     assert_eq!((&goal["x"], &goal["y"]), (&1.0.into(), &2.0.into()));
     assert!((goal["heading"].as_f64().unwrap() - 0.5).abs() < 1e-12);

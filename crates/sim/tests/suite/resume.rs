@@ -16,14 +16,14 @@ fn policies() -> Vec<EgoPolicy> {
 
 /// Returns everything that a rollout reports from its current step on, as text.
 fn rest(sim: &mut Simulation<'_>) -> Vec<String> {
-    let mut told = Vec::new();
+    let mut reported = Vec::new();
     while let Some(outcome) = sim.step().unwrap() {
         let now: Instant = (*sim.committed().get()).clone();
-        told.push(format!("{now:?} {outcome:?} {:?}", sim.forecast(2)));
+        reported.push(format!("{now:?} {outcome:?} {:?}", sim.forecast(2)));
     }
-    told.push(serde_json::to_string(&sim.metrics()).unwrap());
-    told.push(serde_json::to_string(&sim.save()).unwrap());
-    told
+    reported.push(serde_json::to_string(&sim.metrics()).unwrap());
+    reported.push(serde_json::to_string(&sim.save()).unwrap());
+    reported
 }
 
 proptest! {
@@ -129,5 +129,5 @@ fn rejects_states_of_other_rollouts_and_damaged_states() {
     let mut damaged = saved.clone();
     let mover = damaged["movers"][0].clone();
     damaged["movers"].as_array_mut().unwrap().push(mover);
-    assert!(resume(damaged, &options).unwrap_err().contains("sound actors"));
+    assert!(resume(damaged, &options).unwrap_err().contains("valid actors"));
 }

@@ -8,8 +8,8 @@ use i_triangle::float::triangulatable::Triangulatable;
 use i_triangle::float::triangulation::RawTriangulation;
 
 use super::cells::{CELL_M, Cells, cell_of};
+use super::street_strips::{Kerb, StreetStrips, area_twice};
 use super::style::Style;
-use super::ways::{Kerb, Ways, area_twice};
 use crate::mesh::{Mesh, Skin, Surface};
 use crate::plan::KERB_M;
 
@@ -23,9 +23,9 @@ const AROUND_M: f64 = 260.0;
 const BELOW_M: f64 = 0.2;
 
 /// Adds roads, junctions, kerbs, sidewalks, and the ground between them.
-pub(super) fn ground(ways: &Ways, style: &Style, cells: &mut Cells) {
+pub(super) fn ground(strips: &StreetStrips, style: &Style, cells: &mut Cells) {
     let asphalt = Skin::new(style.asphalt, Surface::Asphalt);
-    for (road, line) in ways.network.roads.iter().zip(&ways.lines) {
+    for (road, line) in strips.network.roads.iter().zip(&strips.lines) {
         let Some(line) = line else { continue };
         for s in line.stations().windows(2) {
             let corner = |i: usize, left: f64| line.point(s[i], left * road.half_width_m);
@@ -33,16 +33,16 @@ pub(super) fn ground(ways: &Ways, style: &Style, cells: &mut Cells) {
             flat(cells.near(line.point((s[0] + s[1]) / 2.0, 0.0)), &corners, 0.0, asphalt);
         }
     }
-    for junction in &ways.network.junctions {
+    for junction in &strips.network.junctions {
         let outline: Vec<[f64; 2]> = junction.outline.iter().map(|p| p.to_array()).collect();
         triangles(&outline.triangulate(), |corners| {
             flat(cells.near(corners.iter().sum::<DVec2>() / 3.0), &corners, 0.0, asphalt);
         });
     }
-    for kerb in &ways.kerbs {
+    for kerb in &strips.kerbs {
         sidewalk(kerb, style, cells);
     }
-    between(ways, style, cells);
+    between(strips, style, cells);
 }
 
 /// Calls `each` with the triangles of a triangulation, counter-clockwise.
@@ -91,8 +91,8 @@ fn sidewalk(kerb: &Kerb, style: &Style, cells: &mut Cells) {
 }
 
 /// Adds the ground that no street covers, cell by cell.
-fn between(ways: &Ways, style: &Style, cells: &mut Cells) {
-    let areas = ways.areas(BELOW_M);
+fn between(strips: &StreetStrips, style: &Style, cells: &mut Cells) {
+    let areas = strips.areas(BELOW_M);
     let mut low = DVec2::splat(f64::INFINITY);
     let mut high = DVec2::splat(f64::NEG_INFINITY);
     let mut holes: BTreeMap<[i64; 2], Vec<Vec<[f64; 2]>>> = BTreeMap::new();

@@ -12,11 +12,12 @@ pub(super) struct Line {
 impl Line {
     /// Creates a line through points and drops those that do not bend it. `None` without two distinct points.
     pub(super) fn new(points: &[DVec2]) -> Option<Self> {
-        let kept = thinned(points);
-        if kept.len() < 2 {
+        let retained = thinned(points);
+        if retained.len() < 2 {
             return None;
         }
-        let normals: Vec<DVec2> = kept.windows(2).map(|p| (p[1] - p[0]).normalize_or_zero().perp()).collect();
+        let normals: Vec<DVec2> =
+            retained.windows(2).map(|p| (p[1] - p[0]).normalize_or_zero().perp()).collect();
         let left = |i: usize| match (i.checked_sub(1).and_then(|i| normals.get(i)), normals.get(i)) {
             (Some(a), Some(b)) => {
                 let middle = (*a + *b).normalize_or(*b);
@@ -25,12 +26,12 @@ impl Line {
             (Some(n), None) | (None, Some(n)) => *n,
             (None, None) => DVec2::Y,
         };
-        let lefts = (0..kept.len()).map(left).collect();
+        let lefts = (0..retained.len()).map(left).collect();
         let mut at_m = vec![0.0];
-        for pair in kept.windows(2) {
+        for pair in retained.windows(2) {
             at_m.push(at_m[at_m.len() - 1] + pair[0].distance(pair[1]));
         }
-        Some(Self { points: kept, lefts, at_m })
+        Some(Self { points: retained, lefts, at_m })
     }
 
     /// Returns the same line from its end to its start.
@@ -91,35 +92,35 @@ impl Line {
 }
 
 /// Maximum distance between retained points, meters, and maximum bend between them, radians.
-const KEPT: [f64; 2] = [10.0, 0.025];
+const RETAINED: [f64; 2] = [10.0, 0.025];
 
 fn thinned(points: &[DVec2]) -> Vec<DVec2> {
-    let mut kept: Vec<DVec2> = Vec::new();
+    let mut retained: Vec<DVec2> = Vec::new();
     let mut heading = None;
     for (i, point) in points.iter().enumerate() {
-        let Some(last) = kept.last() else {
-            kept.push(*point);
+        let Some(last) = retained.last() else {
+            retained.push(*point);
             continue;
         };
         let Some(next) = points.get(i + 1) else {
-            if last.distance(*point) < 0.05 && kept.len() > 1 {
-                kept.pop();
+            if last.distance(*point) < 0.05 && retained.len() > 1 {
+                retained.pop();
             }
-            if kept.last().is_none_or(|last| last.distance(*point) > 1e-6) {
-                kept.push(*point);
+            if retained.last().is_none_or(|last| last.distance(*point) > 1e-6) {
+                retained.push(*point);
             }
             break;
         };
         let (here, ahead) = (*point - *last, *next - *point);
         let first: DVec2 = *heading.get_or_insert(here);
-        if last.distance(*next) > KEPT[0] || first.angle_to(ahead).abs() > KEPT[1] {
+        if last.distance(*next) > RETAINED[0] || first.angle_to(ahead).abs() > RETAINED[1] {
             if here.length() > 0.05 {
-                kept.push(*point);
+                retained.push(*point);
             }
             heading = Some(ahead);
         }
     }
-    kept
+    retained
 }
 
 #[cfg(test)]

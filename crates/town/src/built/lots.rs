@@ -4,10 +4,10 @@ use super::cells::Place;
 use super::draw::Draw;
 use super::ground::GROUND_M;
 use super::line::Line;
-use super::room::{Room, Taken};
+use super::occupancy::{Occupancy, Occupant};
 use super::sketch::corners;
+use super::street_strips::StreetStrips;
 use super::style::{District, Style};
-use super::ways::Ways;
 
 /// Kind of building on a lot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -69,9 +69,9 @@ impl Lot {
 }
 
 /// Returns both sides of all roads.
-pub(super) fn frontages(ways: &Ways) -> Vec<Frontage> {
+pub(super) fn frontages(strips: &StreetStrips) -> Vec<Frontage> {
     let mut frontages = Vec::new();
-    for (road, (plan, line)) in ways.network.roads.iter().zip(&ways.lines).enumerate() {
+    for (road, (plan, line)) in strips.network.roads.iter().zip(&strips.lines).enumerate() {
         let Some(line) = line else { continue };
         for line in [line.clone(), line.reversed()] {
             frontages.push(Frontage { line, road, kerb_m: plan.half_width_m, sidewalk_m: plan.sidewalk_m });
@@ -81,7 +81,12 @@ pub(super) fn frontages(ways: &Ways) -> Vec<Frontage> {
 }
 
 /// Places houses along all streets and marks their footprints as occupied.
-pub(super) fn lots(frontages: &[Frontage], middle: DVec2, style: &Style, room: &mut Room) -> Vec<Lot> {
+pub(super) fn lots(
+    frontages: &[Frontage],
+    middle: DVec2,
+    style: &Style,
+    occupancy: &mut Occupancy,
+) -> Vec<Lot> {
     let mut lots = Vec::new();
     let mut churches = 1;
     for (i, frontage) in frontages.iter().enumerate() {
@@ -94,14 +99,14 @@ pub(super) fn lots(frontages: &[Frontage], middle: DVec2, style: &Style, room: &
             let quarter = style.quarter(frontage.line.point(at, frontage.kerb_m + 10.0), middle);
             let wish =
                 BuildingRequest::new(quarter, shared, churches > 0 && i > frontages.len() / 3, &mut draw);
-            let Some(lot) = wish.fit(frontage, at, room) else {
+            let Some(lot) = wish.fit(frontage, at, occupancy) else {
                 at += 1.0;
                 continue;
             };
-            room.take(&lot.footprint(), Taken::House);
+            occupancy.take(&lot.footprint(), Occupant::House);
             if lot.setback_m > 1.0 {
                 let front = lot.area(DVec2::new(0.0, 0.05 - lot.setback_m), DVec2::new(lot.size_m.x, 0.0));
-                room.take(&front, Taken::Garden);
+                occupancy.take(&front, Occupant::Garden);
             }
             if lot.kind == Use::Church {
                 churches -= 1;
@@ -112,7 +117,7 @@ pub(super) fn lots(frontages: &[Frontage], middle: DVec2, style: &Style, room: &
         }
     }
     for lot in &mut lots {
-        lot.sides = sides(lot, room);
+        lot.sides = sides(lot, occupancy);
     }
     lots
 }
@@ -153,7 +158,7 @@ impl BuildingRequest {
     }
 
     /// Returns the lot of the largest variant of the house that fits; `None` if none does.
-    fn fit(&self, frontage: &Frontage, at_m: f64, room: &Room) -> Option<Lot> {
+    fn fit(&self, frontage: &Frontage, at_m: f64, occupancy: &Occupancy) -> Option<Lot> {
         let scales = match self.kind {
             Use::House => [[1.0, 1.0], [1.0, 0.8], [0.72, 0.8], [0.6, 0.62]].as_slice(),
             Use::Office | Use::Church => &[[1.0, 1.0]],
@@ -163,7 +168,7 @@ impl BuildingRequest {
             let margin = if self.kind == Use::Church { 3.0 } else { 0.0 };
             // The garden in front must not reach into another street.
             let min = DVec2::new(-margin, -lot.setback_m + 0.05);
-            room.is_free(&lot.area(min, lot.size_m + DVec2::splat(margin)))
+            occupancy.is_free(&lot.area(min, lot.size_m + DVec2::splat(margin)))
         })
     }
 
@@ -213,7 +218,7 @@ impl BuildingRequest {
 }
 
 /// Returns the surroundings of each house side.
-fn sides(lot: &Lot, room: &Room) -> [Side; 4] {
+fn sides(lot: &Lot, occupancy: &Occupancy) -> [Side; 4] {
     let (w, d) = (lot.size_m.x, lot.size_m.y);
     let beyond = |low: f64, high: f64| {
         [
@@ -223,12 +228,13 @@ fn sides(lot: &Lot, room: &Room) -> [Side; 4] {
             [DVec2::new(-high, 1.0), DVec2::new(-low, d - 1.0)],
         ]
     };
-    let meets = |[min, max]: [DVec2; 2], by: Taken| room.meets(&lot.area(min, max)).any(|taken| taken == by);
+    let meets =
+        |[min, max]: [DVec2; 2], by: Occupant| occupancy.meets(&lot.area(min, max)).any(|taken| taken == by);
     let (next, far) = (beyond(0.05, 0.8), beyond(0.05, 7.0));
     std::array::from_fn(|i| match () {
         () if i == 0 => Side::Street,
-        () if meets(next[i], Taken::House) => Side::Party,
-        () if meets(far[i], Taken::Way) && !meets(far[i], Taken::House) => Side::Street,
+        () if meets(next[i], Occupant::House) => Side::Party,
+        () if meets(far[i], Occupant::Street) && !meets(far[i], Occupant::House) => Side::Street,
         () => Side::Open,
     })
 }

@@ -1,11 +1,11 @@
 //! Static town: roads with markings, sidewalks, houses, trees, lamps and signs.
 //!
 //! # How it works
-//! `ways` converts the plan's roads and junctions to strips; `ground` and `paint` cover them and the areas
-//! between. `lots` walks along both sides of every road and places houses where there is `room`; `house`
-//! builds each in the town's `style`. `kerbside` places `furniture` and trees along the kerbs, `yards` adds
-//! trees behind the houses and hills around the town. Objects are built in their own frames; `cells`
-//! transforms and groups them by position.
+//! `street_strips` converts the plan's roads and junctions to strips; `ground` and `paint` cover them and the
+//! areas between. `lots` walks along both sides of every road and places houses where `occupancy` is free;
+//! `house` builds each in the town's `style`. `kerbside` places `furniture` and trees along the kerbs,
+//! `yards` adds trees behind the houses and hills around the town. Objects are built in their own frames;
+//! `cells` transforms and groups them by position.
 
 mod cells;
 mod draw;
@@ -14,14 +14,14 @@ mod house;
 mod kerbside;
 mod line;
 mod lots;
+mod occupancy;
 mod paint;
 mod plants;
-mod room;
 mod sketch;
+mod street_strips;
 mod style;
 #[cfg(test)]
 mod tests;
-mod ways;
 mod yards;
 
 use glam::DVec2;
@@ -29,26 +29,26 @@ use glam::DVec2;
 use super::mesh::Mesh;
 use super::plan::{Network, Plan};
 use cells::Cells;
+use street_strips::StreetStrips;
 use style::Style;
-use ways::Ways;
 
 /// Returns the static town as meshes of neighbouring objects, town frame. Each is at most about 60 m wide,
 /// which allows culling.
-pub fn standing(plan: &Plan, seed: u64) -> Vec<Mesh> {
+pub fn static_meshes(plan: &Plan, seed: u64) -> Vec<Mesh> {
     let style = Style::new(seed);
-    let ways = Ways::new(&plan.network);
+    let strips = StreetStrips::new(&plan.network);
     let mut cells = Cells::default();
-    ground::ground(&ways, &style, &mut cells);
-    paint::paint(&ways, &style, &mut cells);
-    let mut room = room::Room::new(ways.areas(0.0));
-    let frontages = lots::frontages(&ways);
+    ground::ground(&strips, &style, &mut cells);
+    paint::paint(&strips, &style, &mut cells);
+    let mut occupancy = occupancy::Occupancy::new(strips.areas(0.0));
+    let frontages = lots::frontages(&strips);
     let middle = middle(&plan.network);
-    let lots = lots::lots(&frontages, middle, &style, &mut room);
+    let lots = lots::lots(&frontages, middle, &style, &mut occupancy);
     for lot in &lots {
         cells.stand(&house::house(lot, &style), lot.place);
     }
     kerbside::furnish(&plan.network, &frontages, &style, middle, &mut cells);
-    yards::yards(&ways, middle, &style, &room, &mut cells);
+    yards::yards(&strips, middle, &style, &occupancy, &mut cells);
     cells.into_meshes()
 }
 

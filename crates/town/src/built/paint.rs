@@ -4,8 +4,8 @@ use super::cells::Cells;
 use super::draw::Draw;
 use super::ground::flat;
 use super::line::Line;
+use super::street_strips::StreetStrips;
 use super::style::Style;
-use super::ways::Ways;
 use crate::mesh::{Skin, Surface};
 use crate::plan::{LaneKind, Network, Road};
 
@@ -17,20 +17,20 @@ const WHITE: [u8; 3] = [226, 226, 220];
 const LINE_M: f64 = 0.13;
 
 /// Adds lines, parking bays, crossings, arrows, covers and patches to the roads.
-pub(super) fn paint(ways: &Ways, style: &Style, cells: &mut Cells) {
-    for (i, (road, line)) in ways.network.roads.iter().zip(&ways.lines).enumerate() {
+pub(super) fn paint(strips: &StreetStrips, style: &Style, cells: &mut Cells) {
+    for (i, (road, line)) in strips.network.roads.iter().zip(&strips.lines).enumerate() {
         let Some(line) = line else { continue };
-        let brush = Brush { network: ways.network, road: i, line };
+        let brush = Brush { network: strips.network, road: i, line };
         brush.lines(road, style, cells);
         brush.covers(road, style, cells);
     }
-    stop_lines(ways.network, cells);
-    crossings(ways, cells);
-    for (i, lane) in ways.network.lanes.iter().enumerate() {
+    stop_lines(strips.network, cells);
+    crossings(strips, cells);
+    for (i, lane) in strips.network.lanes.iter().enumerate() {
         if let LaneKind::Road(road) = lane.kind
-            && ways.network.roads.get(road).is_some_and(|road| road.lanes_each_way > 1)
+            && strips.network.roads.get(road).is_some_and(|road| road.lanes_each_way > 1)
         {
-            arrow(ways.network, i, cells);
+            arrow(strips.network, i, cells);
         }
     }
 }
@@ -167,10 +167,10 @@ fn stop_lines(network: &Network, cells: &mut Cells) {
 }
 
 /// Adds the stripes of zebra crossings, parallel to the road, from kerb to kerb.
-fn crossings(ways: &Ways, cells: &mut Cells) {
-    for crossing in &ways.network.crossings {
+fn crossings(strips: &StreetStrips, cells: &mut Cells) {
+    for crossing in &strips.network.crossings {
         let (Some(road), Some(Some(line))) =
-            (ways.network.roads.get(crossing.road), ways.lines.get(crossing.road))
+            (strips.network.roads.get(crossing.road), strips.lines.get(crossing.road))
         else {
             continue;
         };
@@ -199,11 +199,11 @@ fn arrow(network: &Network, lane: usize, cells: &mut Cells) {
     if line.length() < 30.0 {
         return;
     }
-    let mut ways = [false; 3];
+    let mut turns = [false; 3];
     for next in lane.successors.iter().filter_map(|next| network.lanes.get(*next)) {
         if let Some(next) = Line::new(&next.centerline) {
             let turn = next.direction(0.0).angle_to(next.direction(next.length()));
-            ways[if turn > 0.5 {
+            turns[if turn > 0.5 {
                 0
             } else if turn < -0.5 {
                 2
@@ -218,19 +218,19 @@ fn arrow(network: &Network, lane: usize, cells: &mut Cells) {
     let mesh = cells.near(start);
     let mut add = |corners: &[[f64; 2]]| {
         let mut corners: Vec<DVec2> = corners.iter().map(|[x, y]| start + ahead * *x + left * *y).collect();
-        if super::ways::area_twice(&corners) < 0.0 {
+        if super::street_strips::area_twice(&corners) < 0.0 {
             corners.reverse();
         }
         flat(mesh, &corners, PAINT_M, Skin::new(WHITE, Surface::Paint));
     };
-    if ways != [false; 3] {
+    if turns != [false; 3] {
         add(&[[0.0, -0.08], [2.2, -0.08], [2.2, 0.08], [0.0, 0.08]]);
     }
-    if ways[1] {
+    if turns[1] {
         add(&[[2.2, -0.08], [3.4, -0.08], [3.4, 0.08], [2.2, 0.08]]);
         add(&[[3.4, -0.3], [5.0, 0.0], [3.4, 0.3]]);
     }
-    for (go, side) in [(ways[0], 1.0), (ways[2], -1.0)] {
+    for (go, side) in [(turns[0], 1.0), (turns[2], -1.0)] {
         if go {
             add(&[[1.7, 0.08 * side], [2.2, 0.08 * side], [2.75, 0.6 * side], [2.45, 0.7 * side]]);
             add(&[[2.95, 0.35 * side], [2.2, 0.9 * side], [3.1, 1.25 * side]]);

@@ -4,10 +4,10 @@ use super::cells::Cells;
 use super::ground::{self, GROUND_M};
 use super::kerbside::furniture;
 use super::lots::{Lot, frontages, lots};
-use super::room::Room;
+use super::occupancy::Occupancy;
+use super::street_strips::StreetStrips;
 use super::style::Style;
-use super::ways::Ways;
-use super::{house, kerbside, middle, paint, standing};
+use super::{house, kerbside, middle, paint, static_meshes};
 use crate::mesh::{Mesh, Surface};
 use crate::plan::{Actor, JunctionEdge, KERB_M, Motion, Network, Plan, Traffic};
 
@@ -64,9 +64,9 @@ fn off_junction_kerbs(network: &Network, place: DVec2) -> f64 {
 }
 
 fn built_lots(network: &Network, seed: u64) -> Vec<Lot> {
-    let (ways, style) = (Ways::new(network), Style::new(seed));
-    let mut room = Room::new(ways.areas(0.0));
-    lots(&frontages(&ways), middle(network), &style, &mut room)
+    let (strips, style) = (StreetStrips::new(network), Style::new(seed));
+    let mut occupancy = Occupancy::new(strips.areas(0.0));
+    lots(&frontages(&strips), middle(network), &style, &mut occupancy)
 }
 
 /// Returns sample positions across a house's footprint, including its corners.
@@ -130,9 +130,9 @@ fn houses_have_fronts_and_few_triangles() {
 fn street_furniture_avoids_roads_and_crossings() {
     for seed in SEEDS {
         let network = Network::new(seed);
-        let (ways, style) = (Ways::new(&network), Style::new(seed));
+        let (strips, style) = (StreetStrips::new(&network), Style::new(seed));
         let mut cells = Cells::default();
-        kerbside::furnish(&network, &frontages(&ways), &style, middle(&network), &mut cells);
+        kerbside::furnish(&network, &frontages(&strips), &style, middle(&network), &mut cells);
         let meshes = cells.into_meshes();
         let mut feet = 0;
         for vertex in meshes.iter().flat_map(|mesh| &mesh.vertices) {
@@ -195,9 +195,9 @@ fn top(meshes: &[Mesh], place: DVec2) -> Option<f64> {
 fn ground_is_closed_at_correct_heights() {
     for seed in [0, 7] {
         let network = Network::new(seed);
-        let ways = Ways::new(&network);
+        let strips = StreetStrips::new(&network);
         let mut cells = Cells::default();
-        ground::ground(&ways, &Style::new(seed), &mut cells);
+        ground::ground(&strips, &Style::new(seed), &mut cells);
         let meshes = cells.into_meshes();
         let mut seen = [0; 3];
         let middle = middle(&network);
@@ -231,7 +231,7 @@ fn paint_is_on_roads() {
     for seed in SEEDS {
         let network = Network::new(seed);
         let mut cells = Cells::default();
-        paint::paint(&Ways::new(&network), &Style::new(seed), &mut cells);
+        paint::paint(&StreetStrips::new(&network), &Style::new(seed), &mut cells);
         let mut painted = 0;
         for vertex in cells.into_meshes().iter().flat_map(|mesh| &mesh.vertices) {
             let at = Vec3::from(vertex.position).as_dvec3();
@@ -247,7 +247,7 @@ fn paint_is_on_roads() {
 #[test]
 fn static_meshes_are_valid() {
     for seed in SEEDS {
-        let meshes = standing(&plan(seed), seed);
+        let meshes = static_meshes(&plan(seed), seed);
         let mut triangles = 0;
         for mesh in &meshes {
             let [low, high] = mesh.bounds().unwrap();
@@ -277,7 +277,7 @@ fn static_meshes_are_valid() {
 
 #[test]
 fn seed_determines_the_town() {
-    let (a, b, other) = (standing(&plan(7), 7), standing(&plan(7), 7), standing(&plan(7), 8));
+    let (a, b, other) = (static_meshes(&plan(7), 7), static_meshes(&plan(7), 7), static_meshes(&plan(7), 8));
     assert_eq!(a, b);
     let colors = |meshes: &[Mesh]| {
         let mut count = std::collections::BTreeMap::<[u8; 3], usize>::new();

@@ -4,10 +4,10 @@ use point_skeleton::hash::noise;
 use super::cells::{Cells, Place};
 use super::draw::Draw;
 use super::ground::GROUND_M;
+use super::occupancy::{Occupancy, Occupant};
 use super::plants::{Crown, Species, bush, tree};
-use super::room::{Room, Taken};
+use super::street_strips::StreetStrips;
 use super::style::{District, Style};
-use super::ways::Ways;
 use crate::mesh::{Mesh, Skin, Surface};
 
 /// Width of a square that may hold one tree, meters.
@@ -17,8 +17,14 @@ const OUTSIDE_M: f64 = 95.0;
 const HILLS_M: f64 = 225.0;
 
 /// Adds trees behind the houses and around the town, and distant hills.
-pub(super) fn yards(ways: &Ways, middle: DVec2, style: &Style, room: &Room, cells: &mut Cells) {
-    let corners = || ways.kerbs.iter().flat_map(|kerb| &kerb.points).copied();
+pub(super) fn yards(
+    strips: &StreetStrips,
+    middle: DVec2,
+    style: &Style,
+    occupancy: &Occupancy,
+    cells: &mut Cells,
+) {
+    let corners = || strips.kerbs.iter().flat_map(|kerb| &kerb.points).copied();
     let (Some(low), Some(high)) = (corners().reduce(DVec2::min), corners().reduce(DVec2::max)) else {
         return;
     };
@@ -28,14 +34,21 @@ pub(super) fn yards(ways: &Ways, middle: DVec2, style: &Style, room: &Room, cell
             let mut draw = Draw::new(style.seed, &[0x7a4d, i, j]);
             let off = DVec2::new(draw.between(0.0, 1.0), draw.between(0.0, 1.0));
             let place = low - OUTSIDE_M + (DVec2::new(i as f64, j as f64) + off) * SPACING_M;
-            plant(place, middle, style, room, cells, &mut draw);
+            plant(place, middle, style, occupancy, cells, &mut draw);
         }
     }
     hills((low + high) / 2.0, (high - low).min_element() / 2.0 + HILLS_M, style, cells);
 }
 
 /// Adds a tree or a bush at a position if it is free.
-fn plant(place: DVec2, middle: DVec2, style: &Style, room: &Room, cells: &mut Cells, draw: &mut Draw) {
+fn plant(
+    place: DVec2,
+    middle: DVec2,
+    style: &Style,
+    occupancy: &Occupancy,
+    cells: &mut Cells,
+    draw: &mut Draw,
+) {
     let share = match style.quarter(place, middle) {
         District::Centre => 0.4,
         District::Rows => 0.5,
@@ -43,13 +56,13 @@ fn plant(place: DVec2, middle: DVec2, style: &Style, room: &Room, cells: &mut Ce
     };
     let groves = noise(style.seed ^ 0x99, place.x / 45.0, place.y / 45.0);
     let square = |half: f64| super::sketch::corners(place - half, place + half);
-    if !draw.chance(share * 1.6 * groves) || !room.is_free(&square(1.2)) {
+    if !draw.chance(share * 1.6 * groves) || !occupancy.is_free(&square(1.2)) {
         return;
     }
     let at = Place { at: place.extend(GROUND_M), yaw_rad: draw.between(0.0, std::f64::consts::TAU) };
     let rgb = draw.pick(style.leaves);
     let crown = Crown::new(draw.shade(rgb, 0.15), draw.seed());
-    let near_house = room.meets(&square(3.2)).any(|taken| taken == Taken::House);
+    let near_house = occupancy.meets(&square(3.2)).any(|taken| taken == Occupant::House);
     if near_house || draw.chance(0.15) {
         let mut mesh = Mesh::default();
         bush(&mut mesh, DVec3::ZERO, draw.between(0.6, 1.1), crown);

@@ -34,12 +34,12 @@ pub enum TownError {
 
 impl From<TownError> for DatasetError {
     fn from(error: TownError) -> Self {
-        Self::Made(Box::new(error))
+        Self::Synthetic(Box::new(error))
     }
 }
 
 impl From<TownOptionsError> for DatasetError {
     fn from(error: TownOptionsError) -> Self {
-        Self::Made(Box::new(error))
+        Self::Synthetic(Box::new(error))
     }
 }

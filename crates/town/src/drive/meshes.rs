@@ -10,7 +10,7 @@ use crate::plan::{Actor, Motion, Plan};
 /// All meshes.
 pub(super) struct Meshes {
     /// Static town, town frame.
-    pub(super) standing: Vec<Mesh>,
+    pub(super) static_meshes: Vec<Mesh>,
     /// Bodies by kind, seed and pose of the limbs, in the body's frame.
     pub(super) bodies: BTreeMap<(Body, usize), Mesh>,
 }
@@ -24,7 +24,7 @@ impl Meshes {
         };
         let keys = plan.traffic.actors.iter().flat_map(poses);
         let bodies: BTreeMap<_, _> = keys.map(|(body, pose)| ((body, pose), body.mesh(pose))).collect();
-        Self { standing: built::standing(plan, seed), bodies }
+        Self { static_meshes: built::static_meshes(plan, seed), bodies }
     }
 }
 

@@ -17,10 +17,10 @@ use crate::view::{GroundTruthView, Light, MeshDraw, MeshRenderError, MeshRendere
 
 /// Renderer with all meshes on the device.
 pub(super) struct TownRenderer {
-    filmer: MeshRenderer,
+    renderer: MeshRenderer,
     light: Light,
     /// Number of static meshes; they come first and are in the town's frame.
-    standing: usize,
+    static_count: usize,
     bodies: BTreeMap<(Body, usize), usize>,
 }
 
@@ -36,16 +36,16 @@ impl TownRenderer {
     /// Uploads the meshes of a town with these options.
     pub(super) fn new(meshes: &Meshes, options: &TownOptions) -> Result<Self, TownError> {
         let device = Device::new(&DeviceDesc::from_env())?;
-        let all: Vec<&Mesh> = meshes.standing.iter().chain(meshes.bodies.values()).collect();
-        let standing = meshes.standing.len();
-        let bodies = meshes.bodies.keys().copied().zip(standing..).collect();
+        let all: Vec<&Mesh> = meshes.static_meshes.iter().chain(meshes.bodies.values()).collect();
+        let static_count = meshes.static_meshes.len();
+        let bodies = meshes.bodies.keys().copied().zip(static_count..).collect();
         let light = Light::new(options.light(), options.seed);
-        Ok(Self { filmer: MeshRenderer::new(&device, &all)?, light, standing, bodies })
+        Ok(Self { renderer: MeshRenderer::new(&device, &all)?, light, static_count, bodies })
     }
 
     /// Renders views whose world is the town's frame. Only the figures are visible, with their limbs at a
     /// time in seconds.
-    pub(super) fn film(
+    pub(super) fn render(
         &mut self,
         t_s: f64,
         actors: &[Actor],
@@ -66,7 +66,7 @@ impl TownRenderer {
             })
         };
         let draws: Vec<MeshDraw> =
-            (0..self.standing).map(still).chain(figures.iter().filter_map(figure)).collect();
-        self.filmer.film(&draws, views, &self.light)
+            (0..self.static_count).map(still).chain(figures.iter().filter_map(figure)).collect();
+        self.renderer.render(&draws, views, &self.light)
     }
 }

@@ -27,7 +27,7 @@ pub struct Town {
     pub(super) actors: Vec<usize>,
     meshes: OnceLock<Meshes>,
     scanner: OnceLock<Scanner>,
-    pub(super) film: Mutex<Option<TownRenderer>>,
+    pub(super) renderer: Mutex<Option<TownRenderer>>,
 }
 
 /// Name of the location, for maps.
@@ -59,8 +59,8 @@ impl Town {
             frames,
             ..Recording::default()
         };
-        let (meshes, scanner, film) = Default::default();
-        Ok(Self { log, options: *options, plan, global_from_town, actors, meshes, scanner, film })
+        let (meshes, scanner, renderer) = Default::default();
+        Ok(Self { log, options: *options, plan, global_from_town, actors, meshes, scanner, renderer })
     }
 
     /// Returns the streets and the motion of all actors, in the town's frame.
@@ -104,7 +104,7 @@ impl Town {
     pub(super) fn sweep<'a>(&'a self, record: &SweepRecord) -> Sweep {
         let scanner = self.scanner.get_or_init(|| {
             let meshes = self.meshes();
-            Scanner::new(&meshes.standing, &meshes.bodies)
+            Scanner::new(&meshes.static_meshes, &meshes.bodies)
         });
         let end_s = seconds(record.t_us);
         let mover = |actor: &'a Actor| {

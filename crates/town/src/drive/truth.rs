@@ -25,7 +25,7 @@ impl Town {
     /// Returns an error if the device fails.
     pub fn truth(&self, t_us: i64, views: &[View]) -> Result<Vec<GroundTruthView>, TownError> {
         let tracks: Vec<usize> = self.log.boxes_at(t_us).iter().map(|item| item.track).collect();
-        self.film(t_us, &self.figures(t_us, &tracks), views)
+        self.render(t_us, &self.figures(t_us, &tracks), views)
     }
 
     /// Renders the cameras of a frame, each at its own time and pose, in their order. Instance numbers refer
@@ -38,7 +38,7 @@ impl Town {
         let tracks: Vec<usize> = frame.boxes.iter().map(|item| item.track).collect();
         let mut seen = Vec::new();
         for record in &frame.images {
-            seen.extend(self.film(record.t_us, &self.figures(record.t_us, &tracks), &[view_of(record)])?);
+            seen.extend(self.render(record.t_us, &self.figures(record.t_us, &tracks), &[view_of(record)])?);
         }
         Ok(seen)
     }
@@ -64,12 +64,12 @@ impl Town {
             Ok(Figure { actor: self.actors[known], town_from_actor, number: index as u32 + 1 })
         };
         let figures: Vec<Figure> = actors.iter().enumerate().map(figure).collect::<Result<_, TownError>>()?;
-        self.film(t_us, &figures, views)
+        self.render(t_us, &figures, views)
     }
 
     /// Renders only the image of a record.
     pub(super) fn image(&self, record: &ImageRecord) -> Result<RgbImage, TownError> {
-        let seen = self.film(record.t_us, &self.figures(record.t_us, &[]), &[view_of(record)])?;
+        let seen = self.render(record.t_us, &self.figures(record.t_us, &[]), &[view_of(record)])?;
         let empty = || RgbImage::new(record.camera.width, record.camera.height);
         Ok(seen.into_iter().next().map_or_else(empty, |seen| seen.image))
     }
@@ -86,15 +86,20 @@ impl Town {
         self.plan.traffic.actors.iter().enumerate().map(figure).collect()
     }
 
-    fn film(&self, t_us: i64, figures: &[Figure], views: &[View]) -> Result<Vec<GroundTruthView>, TownError> {
-        let mut film = self.film.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
-        if film.is_none() {
+    fn render(
+        &self,
+        t_us: i64,
+        figures: &[Figure],
+        views: &[View],
+    ) -> Result<Vec<GroundTruthView>, TownError> {
+        let mut renderer = self.renderer.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
+        if renderer.is_none() {
             let _meshes = reserve_meshes()?;
-            *film = Some(TownRenderer::new(self.meshes(), &self.options)?);
+            *renderer = Some(TownRenderer::new(self.meshes(), &self.options)?);
         }
-        let Some(film) = film.as_mut() else { return Ok(Vec::new()) };
+        let Some(renderer) = renderer.as_mut() else { return Ok(Vec::new()) };
         let views: Vec<View> = views.iter().map(|view| self.in_town(view)).collect();
-        Ok(film.film(seconds(t_us), &self.plan.traffic.actors, figures, &views)?)
+        Ok(renderer.render(seconds(t_us), &self.plan.traffic.actors, figures, &views)?)
     }
 
     /// Returns the view with the town's frame as its world.

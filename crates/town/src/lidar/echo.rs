@@ -103,12 +103,13 @@ mod tests {
         assert!((deviation - NOISE_M).abs() < 5.0 * NOISE_M / (2.0 * n).sqrt(), "{deviation}");
         let within = errors.iter().filter(|e| e.abs() < NOISE_M).count() as f64 / errors.len() as f64;
         assert!((within - 0.6827).abs() < 5.0 * (0.6827 * 0.3173 / n).sqrt(), "{within}");
-        let kept = |surface, rgb, facing| all(&hit(rgb, surface), facing).len() as f64 / n;
-        let glass = kept(Surface::CarGlass, [40; 3], -1.0);
+        let retained = |surface, rgb, facing| all(&hit(rgb, surface), facing).len() as f64 / n;
+        let glass = retained(Surface::CarGlass, [40; 3], -1.0);
         assert!((glass - 0.3 * (1.0 - LOST)).abs() < 5.0 * (0.21 / n).sqrt(), "{glass}");
-        assert!(kept(Surface::CarPaint, [0; 3], -0.05) < 0.3);
+        assert!(retained(Surface::CarPaint, [0; 3], -0.05) < 0.3);
         assert!(
-            kept(Surface::CarPaint, [255; 3], -0.05) > 0.97 && kept(Surface::CarPaint, [0; 3], -1.0) > 0.97
+            retained(Surface::CarPaint, [255; 3], -0.05) > 0.97
+                && retained(Surface::CarPaint, [0; 3], -1.0) > 0.97
         );
     }
 }

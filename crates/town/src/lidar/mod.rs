@@ -48,7 +48,7 @@ pub(super) struct Mover<'a> {
 
 /// Ray-casting structures of the static town and of all bodies.
 pub(super) struct Scanner {
-    standing: Solid,
+    static_meshes: Solid,
     bodies: BTreeMap<(Body, usize), Solid>,
 }
 
@@ -90,9 +90,9 @@ impl Lidar {
 }
 
 impl Scanner {
-    pub(super) fn new(standing: &[Mesh], bodies: &BTreeMap<(Body, usize), Mesh>) -> Self {
+    pub(super) fn new(static_meshes: &[Mesh], bodies: &BTreeMap<(Body, usize), Mesh>) -> Self {
         let bodies = bodies.par_iter().map(|(key, mesh)| (*key, Solid::new([mesh]))).collect();
-        Self { standing: Solid::new(standing), bodies }
+        Self { static_meshes: Solid::new(static_meshes), bodies }
     }
 
     /// Returns the points of a rotation, column by column, from the lowest beam up.
@@ -146,7 +146,7 @@ impl Scanner {
 
     /// Returns the nearest hit, and the cosine of the angle between beam and normal.
     fn meet(&self, near: &[(&Solid, Pose)], origin: DVec3, direction: DVec3) -> Option<(Hit, f64)> {
-        let own = self.standing.meet(origin, direction, RANGE_M[1]);
+        let own = self.static_meshes.meet(origin, direction, RANGE_M[1]);
         let mut best = own.map(|hit| (hit, hit.normal.dot(direction)));
         for (solid, body_from_town) in near {
             let t_max = best.map_or(RANGE_M[1], |(hit, _)| hit.t);

@@ -15,7 +15,7 @@ fn ground_and_wall() -> Mesh {
     mesh
 }
 
-fn standing(pose: Pose) -> Motion {
+fn stationary(pose: Pose) -> Motion {
     Motion { poses: vec![pose], travelled_m: vec![0.0] }
 }
 
@@ -129,7 +129,7 @@ fn actors_move_while_the_lidar_turns() {
         scanner.sweep(&Turn { lidar, end_s, town_from_lidar: |_| rig(), movers: &movers, seed: None })
     };
     // A static body: all points lie on its sides.
-    let still = standing(Pose::from_yaw(0.3, DVec3::new(10.0, 6.0, 0.0)));
+    let still = stationary(Pose::from_yaw(0.3, DVec3::new(10.0, 6.0, 0.0)));
     let seen = scan(&still, 0.0);
     assert!(seen.len() > 500, "{}", seen.len());
     for at in points(&seen) {

@@ -51,7 +51,7 @@ impl Body {
             BodyKind::Truck => "vehicle.truck",
             BodyKind::Bus => "vehicle.bus.rigid",
             BodyKind::Walker => match self.drawn() {
-                Drawn::Walker(walker) if walker.child => "human.pedestrian.child",
+                BodyModel::Walker(walker) if walker.child => "human.pedestrian.child",
                 _ => "human.pedestrian.adult",
             },
             BodyKind::Cyclist => "vehicle.bicycle",
@@ -87,8 +87,8 @@ impl Body {
     /// Returns the pose after a distance from standstill, meters. In pose 0 a walker's legs are side by side.
     pub fn pose_at(self, travelled_m: f64) -> usize {
         let cycle_m = match self.drawn() {
-            Drawn::Walker(walker) => walker.cycle_m(),
-            Drawn::Cyclist(_) => cyclist::CYCLE_M,
+            BodyModel::Walker(walker) => walker.cycle_m(),
+            BodyModel::Cyclist(_) => cyclist::CYCLE_M,
             _ => return 0,
         };
         let share = (travelled_m / cycle_m).rem_euclid(1.0);
@@ -101,8 +101,8 @@ impl Body {
         self.drawn().mesh(pose)
     }
 
-    fn drawn(self) -> Drawn {
-        Drawn::new(self.kind, &mut Dice::new(self.kind, self.seed))
+    fn drawn(self) -> BodyModel {
+        BodyModel::new(self.kind, &mut Dice::new(self.kind, self.seed))
     }
 }
 
@@ -110,8 +110,8 @@ impl Body {
 /// in its widest pose, other bodies are in pose 0. Bounds (a cyclist's over all poses) are centred over the
 /// origin.
 pub fn typical(kind: BodyKind) -> Mesh {
-    match Drawn::new(kind, &mut Dice::Typical) {
-        Drawn::Walker(walker) => centred(&walker.figure(walker.widest()).mesh()),
+    match BodyModel::new(kind, &mut Dice::Typical) {
+        BodyModel::Walker(walker) => centred(&walker.figure(walker.widest()).mesh()),
         drawn => drawn.mesh(0),
     }
 }
@@ -132,7 +132,7 @@ fn box_of(size_m: DVec3) -> [DVec3; 2] {
 }
 
 /// Body with all its drawn properties.
-enum Drawn {
+enum BodyModel {
     Car(car::Car),
     Truck(truck::Truck),
     Bus(bus::Bus),
@@ -141,7 +141,7 @@ enum Drawn {
     Cone(cone::Cone),
 }
 
-impl Drawn {
+impl BodyModel {
     fn new(kind: BodyKind, dice: &mut Dice) -> Self {
         match kind {
             BodyKind::Truck => Self::Truck(truck::Truck::new(dice)),

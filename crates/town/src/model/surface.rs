@@ -6,7 +6,7 @@ use rayon::prelude::*;
 use crate::mesh::Mesh;
 
 /// Maximum number of rays across a mesh.
-const MOST_RAYS: f64 = 2048.0;
+const MAX_RAYS: f64 = 2048.0;
 /// Depths that differ by less are equal, meters.
 const TIE_M: f64 = 1e-5;
 
@@ -50,7 +50,7 @@ pub(super) fn seen_along(mesh: &Mesh, direction: DVec3, step_m: f64) -> Vec<Surf
     let (u, v) = direction.any_orthonormal_pair();
     let turn = DMat3::from_cols(u, v, direction).transpose();
     let Some([low, high]) = bounds(mesh, turn) else { return Vec::new() };
-    let step_m = step_m.max((high - low).truncate().max_element() / MOST_RAYS);
+    let step_m = step_m.max((high - low).truncate().max_element() / MAX_RAYS);
     if !step_m.is_normal() {
         return Vec::new();
     }

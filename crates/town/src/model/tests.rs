@@ -33,14 +33,14 @@ fn meshes_match_their_drawn_sizes() {
     for body in bodies(0..30) {
         let drawn = body.drawn();
         let [low, high] = match &drawn {
-            Drawn::Car(car) => car.mesh().bounds().unwrap(),
-            Drawn::Truck(truck) => truck.mesh().bounds().unwrap(),
-            Drawn::Bus(bus) => bus.mesh().bounds().unwrap(),
-            Drawn::Cone(cone) => cone.mesh().bounds().unwrap(),
-            Drawn::Walker(w) => {
+            BodyModel::Car(car) => car.mesh().bounds().unwrap(),
+            BodyModel::Truck(truck) => truck.mesh().bounds().unwrap(),
+            BodyModel::Bus(bus) => bus.mesh().bounds().unwrap(),
+            BodyModel::Cone(cone) => cone.mesh().bounds().unwrap(),
+            BodyModel::Walker(w) => {
                 (0..walker::POSES).map(|p| w.figure(p).corner_bounds()).reduce(union).unwrap()
             }
-            Drawn::Cyclist(c) => {
+            BodyModel::Cyclist(c) => {
                 (0..cyclist::POSES).map(|p| c.figure(p).corner_bounds()).reduce(union).unwrap()
             }
         };
@@ -130,7 +130,7 @@ fn box_sizes_select_the_matching_template() {
 fn poses_follow_distance_and_keep_feet_on_ground() {
     for body in bodies(0..8).filter(|b| b.poses() > 1) {
         let cycle_m = match body.drawn() {
-            Drawn::Walker(walker) => walker.cycle_m(),
+            BodyModel::Walker(walker) => walker.cycle_m(),
             _ => cyclist::CYCLE_M,
         };
         let poses: Vec<usize> = (0..12).map(|i| body.pose_at(cycle_m * f64::from(i) / 12.0)).collect();
@@ -154,7 +154,7 @@ fn poses_follow_distance_and_keep_feet_on_ground() {
 fn stance_foot_does_not_slide() {
     for seed in 0..6 {
         let body = Body { kind: BodyKind::Walker, seed };
-        let Drawn::Walker(walker) = body.drawn() else { panic!() };
+        let BodyModel::Walker(walker) = body.drawn() else { panic!() };
         let step_m = walker.cycle_m() / walker::POSES as f64;
         // Around mid-stance the lowest corners belong to the stance foot.
         let foot = |pose: usize| {

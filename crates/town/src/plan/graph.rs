@@ -225,8 +225,8 @@ impl Grid {
                 continue;
             }
             let section = self.links[first].1;
-            let kept = |i: usize| i != first && i != second;
-            self.links = (0..self.links.len()).filter(|i| kept(*i)).map(|i| self.links[i]).collect();
+            let retained = |i: usize| i != first && i != second;
+            self.links = (0..self.links.len()).filter(|i| retained(*i)).map(|i| self.links[i]).collect();
             self.links.push(([from, to], section, Course::Across));
             return;
         }

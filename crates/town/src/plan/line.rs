@@ -6,17 +6,18 @@ use point_skeleton::geometry::Polyline;
 /// Creates a path through points and skips those within 1e-9 m of the previous one. Fewer than two distinct
 /// points give a path of 1e-6 m in direction x.
 pub fn polyline(points: &[DVec2]) -> Polyline {
-    let mut kept: Vec<DVec2> = Vec::with_capacity(points.len());
+    let mut retained: Vec<DVec2> = Vec::with_capacity(points.len());
     for point in points {
-        if kept.last().is_none_or(|last| last.distance(*point) > 1e-9) {
-            kept.push(*point);
+        if retained.last().is_none_or(|last| last.distance(*point) > 1e-9) {
+            retained.push(*point);
         }
     }
-    if kept.len() < 2 {
-        let start = kept.first().copied().unwrap_or(DVec2::ZERO);
-        kept = vec![start, start + DVec2::X * 1e-6];
+    if retained.len() < 2 {
+        let start = retained.first().copied().unwrap_or(DVec2::ZERO);
+        retained = vec![start, start + DVec2::X * 1e-6];
     }
-    Polyline::with_directions(kept, |step| step.normalize_or(DVec2::X)).expect("points of a plan are finite")
+    Polyline::with_directions(retained, |step| step.normalize_or(DVec2::X))
+        .expect("points of a plan are finite")
 }
 
 /// Returns the parallel line at a distance to the left, meters (negative: to the right), with a point for

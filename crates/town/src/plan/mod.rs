@@ -5,6 +5,7 @@
 
 mod corner;
 mod graph;
+mod lanes;
 pub mod line;
 mod network;
 #[cfg(test)]
@@ -13,13 +14,12 @@ mod random;
 mod signals;
 mod streets;
 mod traffic;
-mod ways;
 
+pub use lanes::Turn;
 pub use network::{
     Crossing, Junction, JunctionEdge, JunctionKind, LaneKind, Network, Road, Side, Signal, TownLane,
 };
 pub use traffic::{Actor, Motion, Traffic};
-pub use ways::Turn;
 
 use super::TownOptions;
 

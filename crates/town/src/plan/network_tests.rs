@@ -106,11 +106,11 @@ fn traffic_keeps_to_the_right() {
                 for (k, lane) in lanes.iter().enumerate() {
                     let line = &network.lanes[*lane].centerline;
                     let p = line[line.len() / 2];
-                    let foot = middle.foot(p, WHOLE);
+                    let projection = middle.project(p, WHOLE);
                     let wanted = -along * (k as f64 + 0.5) * road.lane_width_m;
-                    assert!((foot.offset_m - wanted).abs() < 0.02, "{foot:?} {wanted}");
+                    assert!((projection.offset_m - wanted).abs() < 0.02, "{projection:?} {wanted}");
                     let ahead = line[line.len() / 2 + 1] - p;
-                    assert!(middle.at(foot.station_m).1.dot(ahead) * along > 0.0);
+                    assert!(middle.at(projection.station_m).1.dot(ahead) * along > 0.0);
                 }
             }
         }
@@ -123,8 +123,11 @@ fn crossings_and_stop_lines_precede_junctions() {
         for crossing in &network.crossings {
             let road = &network.roads[crossing.road];
             for corner in crossing.outline {
-                let foot = polyline(&road.centerline).foot(corner, WHOLE);
-                assert!((foot.offset_m.abs() - road.half_width_m).abs() < 1e-6, "{seed} {foot:?}");
+                let projection = polyline(&road.centerline).project(corner, WHOLE);
+                assert!(
+                    (projection.offset_m.abs() - road.half_width_m).abs() < 1e-6,
+                    "{seed} {projection:?}"
+                );
             }
             let [a, b, c, _] = crossing.outline;
             assert!((b - a).perp_dot(c - b) > 0.0 && (a.distance(b) - 3.0).abs() < 1e-9);
@@ -134,9 +137,12 @@ fn crossings_and_stop_lines_precede_junctions() {
             let lane = &network.lanes[*lane];
             let path = polyline(&lane.centerline);
             for (end, side) in ends.iter().zip([1.0, -1.0]) {
-                let foot = path.foot(*end, WHOLE);
-                assert!((path.length_m() - foot.station_m - 6.7).abs() < 1e-6, "{seed} {foot:?}");
-                assert!((foot.offset_m.abs() - lane.width_m / 2.0).abs() < 1e-6, "{seed} {foot:?} {side}");
+                let projection = path.project(*end, WHOLE);
+                assert!((path.length_m() - projection.station_m - 6.7).abs() < 1e-6, "{seed} {projection:?}");
+                assert!(
+                    (projection.offset_m.abs() - lane.width_m / 2.0).abs() < 1e-6,
+                    "{seed} {projection:?} {side}"
+                );
             }
         }
     }

@@ -6,7 +6,7 @@ use super::corner::{self, Mouth};
 use super::graph::{self, Graph, Link};
 use super::line::{bezier, curvature, polyline};
 use super::random::Random;
-use super::{Crossing, Junction, JunctionEdge, JunctionKind, Network, Road, ways};
+use super::{Crossing, Junction, JunctionEdge, JunctionKind, Network, Road, lanes};
 
 /// Maximum number of random graphs that are tried before the streets fall back to a plain grid.
 const TRIES: u64 = 40;
@@ -50,7 +50,7 @@ fn build(random: &mut Random, bend: f64) -> Network {
     for (link, distances_m) in graph.links.iter().zip(distances_m) {
         network.roads.push(road(&network, &graph.nodes, link, distances_m, sidewalk_m));
     }
-    ways::add_lanes(&mut network);
+    lanes::add_lanes(&mut network);
     for junction in 0..network.junctions.len() {
         if network.junctions[junction].kind != JunctionKind::Free {
             add_crossings(&mut network, junction);

@@ -98,7 +98,7 @@ impl MeshRenderer {
     ///
     /// # Errors
     /// Returns an error if a draw has an unknown mesh or if the device fails.
-    pub fn film(
+    pub fn render(
         &mut self,
         draws: &[MeshDraw],
         views: &[View],
@@ -116,15 +116,15 @@ impl MeshRenderer {
             advice: "fewer or smaller images need less",
         })?;
         let mut mapped: Option<Frames> = None;
-        let mut film = |view: &View| {
+        let mut render = |view: &View| {
             let frames = Frames::new(light, view.camera_from_world.inverse().translation);
             if mapped != Some(frames) {
                 self.map(draws, light, &frames)?;
                 mapped = Some(frames);
             }
-            self.film_view(draws, view, (light, &frames))
+            self.render_view(draws, view, (light, &frames))
         };
-        views.iter().map(&mut film).collect()
+        views.iter().map(&mut render).collect()
     }
 
     /// Returns the stages' times on the device, summed since the last call.
@@ -141,7 +141,7 @@ impl MeshRenderer {
         Ok(())
     }
 
-    fn film_view(
+    fn render_view(
         &mut self,
         draws: &[MeshDraw],
         view: &View,
@@ -152,7 +152,7 @@ impl MeshRenderer {
         let Some(largest) = tiles.first() else { return Ok(shown) };
         self.prepare(largest.size)?;
         for tile in &tiles {
-            self.film_tile(draws, view, tile, lit, &mut shown)?;
+            self.render_tile(draws, view, tile, lit, &mut shown)?;
         }
         Ok(shown)
     }
@@ -169,7 +169,7 @@ impl MeshRenderer {
         Ok(())
     }
 
-    fn film_tile(
+    fn render_tile(
         &mut self,
         draws: &[MeshDraw],
         view: &View,

@@ -173,9 +173,9 @@ impl ShadePass {
 
     /// Returns the maximum pixel count of a tile.
     pub(super) fn max_area(device: &Device) -> u32 {
-        const MOST: u64 = 3 << 19;
+        const MAX_PIXELS: u64 = 3 << 19;
         // A pixel has four samples; the largest image takes 16 of a sample's bytes.
-        (device.max_allocation() / (4 * SAMPLE_BYTES)).min(MOST) as u32
+        (device.max_allocation() / (4 * SAMPLE_BYTES)).min(MAX_PIXELS) as u32
     }
 
     /// Creates images for tiles of up to this width and height, pixels.

@@ -150,12 +150,12 @@ fn maps_match_ray_casting() {
     ];
     with_device(|device| {
         let refs: Vec<&Mesh> = meshes.iter().collect();
-        let mut filmer = MeshRenderer::new(&device, &refs).unwrap();
+        let mut renderer = MeshRenderer::new(&device, &refs).unwrap();
         let light = Light::new(Daylight::Day, 1);
-        let whole = filmer.film(&draws, &views, &light).unwrap();
+        let whole = renderer.render(&draws, &views, &light).unwrap();
         // In tiles: the same except for rounding.
-        let mut filmer = filmer.with_tile_side(23);
-        let tiled = filmer.film(&draws, &views, &light).unwrap();
+        let mut renderer = renderer.with_tile_side(23);
+        let tiled = renderer.render(&draws, &views, &light).unwrap();
         let mut seen = std::collections::BTreeSet::new();
         for ((view, a), b) in views.iter().zip(&whole).zip(&tiled) {
             for shown in [a, b] {
@@ -179,8 +179,8 @@ fn the_comparison_detects_a_shifted_view() {
     let from = |y: f64| view([45, 80], 60.0, DVec3::new(0.0, y, 1.4), [0.2, 0.05, 0.0]);
     let (shown, hair_px) = with_device(|device| {
         let refs: Vec<&Mesh> = meshes.iter().collect();
-        let mut filmer = MeshRenderer::new(&device, &refs).unwrap();
-        (filmer.film(&draws, &[from(0.0)], &Light::bare()).unwrap(), hair_px(&device))
+        let mut renderer = MeshRenderer::new(&device, &refs).unwrap();
+        (renderer.render(&draws, &[from(0.0)], &Light::bare()).unwrap(), hair_px(&device))
     });
     compare(&shown[0], &from(0.01), (&rays, &draws), hair_px);
 }
@@ -205,7 +205,7 @@ fn edges_are_blended_in_linear_light() {
     sheet.polygon(&corners, plain(255));
     let draws = [MeshDraw { mesh: 0, town_from_mesh: DAffine3::IDENTITY, class: 1, instance: 1 }];
     let shown = with_device(|device| {
-        MeshRenderer::new(&device, &[&sheet]).unwrap().film(
+        MeshRenderer::new(&device, &[&sheet]).unwrap().render(
             &draws,
             std::slice::from_ref(&view),
             &Light::bare(),
@@ -242,11 +242,11 @@ fn the_sun_casts_shadows() {
     let far = view([60, 90], 250.0, DVec3::new(30.0, 3.0, 40.0), [0.0, 0.59, 0.0]);
     with_device(|device| {
         let refs: Vec<&Mesh> = meshes.iter().collect();
-        let mut filmer = MeshRenderer::new(&device, &refs).unwrap();
+        let mut renderer = MeshRenderer::new(&device, &refs).unwrap();
         for (daylight, seed) in [(Daylight::Day, 1), (Daylight::Day, 6), (Daylight::Dusk, 2)] {
             let light = Light::new(daylight, seed);
             for (view, blur_m) in [(&near, 0.2), (&far, 0.6)] {
-                let shown = &filmer.film(&draws, std::slice::from_ref(view), &light).unwrap()[0];
+                let shown = &renderer.render(&draws, std::slice::from_ref(view), &light).unwrap()[0];
                 let (mut lit, mut dark) = (Vec::new(), Vec::new());
                 let town_from_camera = view.camera_from_world.inverse();
                 for (x, y, pixel) in shown.image.enumerate_pixels() {
@@ -287,14 +287,14 @@ fn digest() -> String {
     let views = [0.0, 1.2, 3.0].map(|yaw| view([45, 80], 60.0, DVec3::new(0.0, 0.4, 1.4), [yaw, 0.05, 0.0]));
     with_device(|device| {
         let refs: Vec<&Mesh> = meshes.iter().collect();
-        let mut filmer = MeshRenderer::new(&device, &refs).unwrap();
+        let mut renderer = MeshRenderer::new(&device, &refs).unwrap();
         let mut bytes = Vec::new();
         for daylight in [Daylight::Day, Daylight::Dusk, Daylight::Overcast] {
             let light = Light::new(daylight, 4);
-            let all = filmer.film(&draws, &views, &light).unwrap();
-            assert_eq!(all, filmer.film(&draws, &views, &light).unwrap());
+            let all = renderer.render(&draws, &views, &light).unwrap();
+            assert_eq!(all, renderer.render(&draws, &views, &light).unwrap());
             // A view does not depend on the others.
-            assert_eq!(all[2], filmer.film(&draws, &views[2..], &light).unwrap()[0]);
+            assert_eq!(all[2], renderer.render(&draws, &views[2..], &light).unwrap()[0]);
             assert!(all[0].image != all[1].image);
             bytes.extend(all.iter().flat_map(|shown| shown.image.to_vec()));
         }
@@ -345,14 +345,14 @@ fn an_empty_scene_is_sky_and_invalid_draws_are_named() {
                 && shown.instance.iter().all(|i| *i == 0)
                 && shown.image.pixels().all(|p| p.0[2] > 60)
         };
-        let mut filmer = MeshRenderer::new(&device, &[&block, &empty]).unwrap();
-        assert!(is_sky(&filmer.film(&[], views, &light).unwrap()[0]));
-        assert!(is_sky(&filmer.film(&[draw(1)], views, &light).unwrap()[0]));
-        assert!(!is_sky(&filmer.film(&[draw(0)], views, &light).unwrap()[0]));
-        assert!(filmer.film(&[draw(0)], &[], &light).unwrap().is_empty());
-        let error = filmer.film(&[draw(0), draw(2)], views, &light).unwrap_err();
+        let mut renderer = MeshRenderer::new(&device, &[&block, &empty]).unwrap();
+        assert!(is_sky(&renderer.render(&[], views, &light).unwrap()[0]));
+        assert!(is_sky(&renderer.render(&[draw(1)], views, &light).unwrap()[0]));
+        assert!(!is_sky(&renderer.render(&[draw(0)], views, &light).unwrap()[0]));
+        assert!(renderer.render(&[draw(0)], &[], &light).unwrap().is_empty());
+        let error = renderer.render(&[draw(0), draw(2)], views, &light).unwrap_err();
         assert!(matches!(error, MeshRenderError::UnknownMesh { draw: 1, mesh: 2, meshes: 2 }));
         assert_eq!(error.to_string(), "expected meshes below 2, found 2 in draw 1");
-        assert!(is_sky(&MeshRenderer::new(&device, &[]).unwrap().film(&[], views, &light).unwrap()[0]));
+        assert!(is_sky(&MeshRenderer::new(&device, &[]).unwrap().render(&[], views, &light).unwrap()[0]));
     });
 }

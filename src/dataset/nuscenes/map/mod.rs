@@ -101,7 +101,7 @@ const METRES_PER_BYTE: f64 = 8.0;
 const LANES_M: f64 = 1e4;
 
 /// Maximum number of records per polygon or line, on average; in nuScenes' maps each record has its own.
-const MOST_SHARED: usize = 8;
+const MAX_SHARED: usize = 8;
 
 impl<'a> Resolver<'a> {
     /// Builds the lookups for a file of `bytes` bytes.
@@ -115,7 +115,7 @@ impl<'a> Resolver<'a> {
             lines: by_token("line", raw.line.iter().map(|l| (l.token.as_str(), l)), &mut notes),
             lanes: RefCell::default(),
             centerline_left_m: Cell::new(LANES_M + METRES_PER_BYTE * bytes as f64),
-            corners_left: Cell::new(raw.corners() * MOST_SHARED),
+            corners_left: Cell::new(raw.corners() * MAX_SHARED),
             notes: RefCell::new(notes),
         }
     }
@@ -206,7 +206,7 @@ impl<'a> Resolver<'a> {
 
     fn corners(&self, nodes: &[Option<String>]) -> Result<Vec<DVec2>, Refusal> {
         let left = self.corners_left.get().checked_sub(nodes.len()).ok_or_else(|| {
-            let expected = format!("polygons and lines that at most {MOST_SHARED} records share on average");
+            let expected = format!("polygons and lines that at most {MAX_SHARED} records share on average");
             Refusal::File(FileError::content(expected, "more", self.path))
         })?;
         self.corners_left.set(left);

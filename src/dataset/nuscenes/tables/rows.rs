@@ -63,9 +63,9 @@ pub(in super::super) fn for_each_row<E: std::fmt::Display>(
     let (mut state, mut depth) = (State::Start, 0_u32);
     loop {
         // Rows that end in the next chunk begin in this one.
-        let kept = if depth > 0 { row } else { next };
-        buffer.drain(..kept);
-        (base, next, row) = (base + kept as u64, next - kept, 0);
+        let retained = if depth > 0 { row } else { next };
+        buffer.drain(..retained);
+        (base, next, row) = (base + retained as u64, next - retained, 0);
         if buffer.len() > ROW_BYTES {
             return Err(wrong(format!("a record of more than {ROW_BYTES} bytes at byte {base}")));
         }

@@ -73,7 +73,7 @@ impl ColorView {
 
     /// Returns this view's color of a point at a pixel and a camera depth in meters.
     #[inline(always)]
-    pub(crate) fn look(&self, radii: [usize; 3], pixel: DVec2, depth_m: f64) -> ColorSample {
+    pub(crate) fn sample(&self, radii: [usize; 3], pixel: DVec2, depth_m: f64) -> ColorSample {
         let [nearer @ .., _] = &DEFAULT_STEPS;
         let range = nearer.iter().position(|step| depth_m <= f64::from(step.z_max_m)).unwrap_or(nearer.len());
         ColorSample { rgb: self.mean_color(pixel, radii[range]), weight: (1.0 / depth_m) as f32 }
@@ -135,13 +135,13 @@ fn clipped_mean(levels: &[u8], [width, height]: [usize; 2], [x, y]: [usize; 2], 
 /// Returns the color that the looks agree on: their mean, weighted by `1 / (1 + (d / TOLERANCE)²)`, where `d`
 /// is the difference of a look from the mean. `None` without looks.
 #[inline(always)] // into loops that are compiled for wide vectors
-pub(crate) fn agreed_color(looks: &[ColorSample]) -> Option<[u8; 3]> {
-    if looks.is_empty() {
+pub(crate) fn agreed_color(samples: &[ColorSample]) -> Option<[u8; 3]> {
+    if samples.is_empty() {
         return None;
     }
-    let mut color = mean_look(looks, |_| 1.0);
+    let mut color = weighted_mean(samples, |_| 1.0);
     for _ in 0..ROUNDS {
-        color = mean_look(looks, |rgb| {
+        color = weighted_mean(samples, |rgb| {
             let differs = (0..3).map(|c| (rgb[c] - color[c]).abs()).sum::<f32>() / TOLERANCE;
             1.0 / (1.0 + differs * differs)
         });
@@ -151,11 +151,11 @@ pub(crate) fn agreed_color(looks: &[ColorSample]) -> Option<[u8; 3]> {
 
 /// Returns the mean color of looks; `trust` is a weight factor for a look with a given color.
 #[inline(always)]
-fn mean_look(looks: &[ColorSample], trust: impl Fn([f32; 3]) -> f32) -> [f32; 3] {
+fn weighted_mean(samples: &[ColorSample], trust: impl Fn([f32; 3]) -> f32) -> [f32; 3] {
     let (mut sum, mut total) = ([0.0_f32; 3], 0.0_f32);
-    for look in looks {
-        let rgb = look.rgb.map(f32::from);
-        let weight = look.weight * trust(rgb);
+    for sample in samples {
+        let rgb = sample.rgb.map(f32::from);
+        let weight = sample.weight * trust(rgb);
         (0..3).for_each(|c| sum[c] += weight * rgb[c]);
         total += weight;
     }
@@ -169,32 +169,33 @@ mod tests {
     use crate::skeleton::Projector;
     use glam::DAffine3;
 
-    fn look_at(view: &ColorView, project: &Projector, point: DVec3) -> Option<ColorSample> {
+    fn sample_at(view: &ColorView, project: &Projector, point: DVec3) -> Option<ColorSample> {
         let (pixel, depth_m) = project.pixel(point)?;
-        (!view.hides(pixel, depth_m)).then(|| view.look(view.radii(), pixel, depth_m))
+        (!view.hides(pixel, depth_m)).then(|| view.sample(view.radii(), pixel, depth_m))
     }
 
-    fn look(grey: u8, weight: f32) -> ColorSample {
+    fn sample(grey: u8, weight: f32) -> ColorSample {
         ColorSample { rgb: [grey; 3], weight }
     }
 
     #[test]
     fn the_majority_outvotes_a_nearer_view() {
         assert_eq!(agreed_color(&[]), None);
-        assert_eq!(agreed_color(&[look(9, 0.1)]), Some([9; 3]));
-        let agreed = |looks: &[ColorSample]| agreed_color(looks).unwrap()[0];
+        assert_eq!(agreed_color(&[sample(9, 0.1)]), Some([9; 3]));
+        let agreed = |samples: &[ColorSample]| agreed_color(samples).unwrap()[0];
         // The plain mean is 92.
-        assert!((10..20).contains(&agreed(&[look(200, 0.3), look(10, 0.2), look(12, 0.2)])));
+        assert!((10..20).contains(&agreed(&[sample(200, 0.3), sample(10, 0.2), sample(12, 0.2)])));
         // The plain mean is 191; at 254, black counts 1/59 as much as white.
-        assert_eq!(agreed(&[look(0, 0.1), look(255, 0.1), look(255, 0.1), look(255, 0.1)]), 254);
+        assert_eq!(agreed(&[sample(0, 0.1), sample(255, 0.1), sample(255, 0.1), sample(255, 0.1)]), 254);
     }
 
     /// Without outliers, it is the weighted mean; its order and scale do not matter.
     #[test]
-    fn similar_looks_are_averaged() {
-        let looks = [look(100, 0.1), look(104, 0.3), look(103, 0.1)];
-        assert_eq!(agreed_color(&looks), Some([103; 3]));
-        let other = [looks[2], looks[0], looks[1]].map(|l| ColorSample { weight: l.weight * 50.0, ..l });
+    fn similar_samples_are_averaged() {
+        let samples = [sample(100, 0.1), sample(104, 0.3), sample(103, 0.1)];
+        assert_eq!(agreed_color(&samples), Some([103; 3]));
+        let other =
+            [samples[2], samples[0], samples[1]].map(|l| ColorSample { weight: l.weight * 50.0, ..l });
         assert_eq!(agreed_color(&other), Some([103; 3]));
         let every = |rgb| ColorSample { rgb, weight: 0.01 };
         for level in 0..=255 {
@@ -208,34 +209,34 @@ mod tests {
     #[test]
     fn agreed_colors_match_the_definition() {
         let number = |i: i64, axis: i64| crate::hash::between(11, &[i, axis], 0.0, 1.0);
-        let naive = |looks: &[ColorSample]| {
+        let naive = |samples: &[ColorSample]| {
             let mut color = [f64::NAN; 3];
             for round in 0..=ROUNDS {
-                let weight = |look: &ColorSample| {
-                    let d: f64 = (0..3).map(|c| (f64::from(look.rgb[c]) - color[c]).abs()).sum();
+                let weight = |sample: &ColorSample| {
+                    let d: f64 = (0..3).map(|c| (f64::from(sample.rgb[c]) - color[c]).abs()).sum();
                     let trust =
                         if round == 0 { 1.0 } else { 1.0 / (1.0 + (d / f64::from(TOLERANCE)).powi(2)) };
-                    f64::from(look.weight) * trust
+                    f64::from(sample.weight) * trust
                 };
-                let total: f64 = looks.iter().map(weight).sum();
+                let total: f64 = samples.iter().map(weight).sum();
                 let mean =
-                    |c: usize| looks.iter().map(|l| weight(l) * f64::from(l.rgb[c])).sum::<f64>() / total;
+                    |c: usize| samples.iter().map(|l| weight(l) * f64::from(l.rgb[c])).sum::<f64>() / total;
                 color = [0, 1, 2].map(mean);
             }
             color
         };
         for count in (1..70).chain([200]) {
-            let look = |i: i64| ColorSample {
+            let sample = |i: i64| ColorSample {
                 rgb: [0, 1, 2].map(|c| (number(count * 1000 + i, c) * 256.0) as u8),
                 weight: number(count * 1000 + i, 3) as f32 + 0.01,
             };
-            let mut looks: Vec<ColorSample> = (0..count).map(look).collect();
-            let expected = naive(&looks);
+            let mut samples: Vec<ColorSample> = (0..count).map(sample).collect();
+            let expected = naive(&samples);
             for _ in 0..2 {
-                let found = agreed_color(&looks).unwrap();
+                let found = agreed_color(&samples).unwrap();
                 let off = |c: usize| (f64::from(found[c]) - expected[c]).abs();
                 assert!((0..3).all(|c| off(c) < 0.501), "{found:?} {expected:?}");
-                looks.reverse();
+                samples.reverse();
             }
         }
     }
@@ -281,8 +282,8 @@ mod tests {
         // The image is colored by columns, so the color identifies the sampled column.
         let image = RgbImage::from_fn(1600, 900, |x, _| image::Rgb([(x / 10) as u8, 0, 0]));
         let view = ColorView { image, view: bent, t_us: 0, occlusion: None };
-        let look = look_at(&view, &project[0], point).unwrap();
-        assert!((f64::from(look.rgb[0]) - seen.x / 10.0).abs() < 1.0, "{look:?} {seen}");
+        let sample = sample_at(&view, &project[0], point).unwrap();
+        assert!((f64::from(sample.rgb[0]) - seen.x / 10.0).abs() < 1.0, "{sample:?} {seen}");
         // Beyond the range where its distortion is monotonic, the lens yields no pixel, thus no ghost image.
         assert_eq!(project[0].pixel(DVec3::new(40.0, 0.0, 5.0)), None);
     }
@@ -295,7 +296,7 @@ mod tests {
         let image = RgbImage::from_fn(1600, 40, |x, _| image::Rgb([if x < 20 { 0 } else { 70 }, 8, 9]));
         let color_view = ColorView { image, view, t_us: 0, occlusion: None };
         let project = Projector::new(&color_view.view, &DAffine3::IDENTITY);
-        let at = |x: f64, z: f64| look_at(&color_view, &project, DVec3::new(x, 0.0, z)).map(|l| l.rgb);
+        let at = |x: f64, z: f64| sample_at(&color_view, &project, DVec3::new(x, 0.0, z)).map(|l| l.rgb);
         // Pixel column 20: of 7 columns 17..=23 four are bright; far away, of 3 columns two.
         assert_eq!(at(0.0, 10.0), Some([40, 8, 9]));
         assert_eq!(at(0.0, 50.0), Some([47, 8, 9]));

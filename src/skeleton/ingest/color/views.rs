@@ -72,7 +72,7 @@ struct Workspace {
     columns: PointColumns,
     pixels: Pixels,
     /// Looks at each point, as many places as views.
-    looks: Vec<ColorSample>,
+    samples: Vec<ColorSample>,
     /// Number of looks at each point.
     counts: Vec<usize>,
 }
@@ -81,14 +81,14 @@ impl Workspace {
     /// Colors points from views, each with its projection. All points are looked up in one image before the
     /// next; together they need a small piece of it.
     fn color(&mut self, points: &mut [Candidate], views: &[(&ColorView, Projector)], hidden: Hidden) {
-        let Self { columns, pixels, looks, counts } = self;
+        let Self { columns, pixels, samples, counts } = self;
         let positions = points.iter().map(|point| point.position);
         let bounds = Corners::of(positions.clone());
         columns.set(positions);
         let near: Vec<_> = views.iter().filter(|(_, project)| !project.misses(&bounds)).collect();
         let places = near.len();
-        if looks.len() < points.len() * places {
-            looks.resize(points.len() * places, ColorSample::NONE);
+        if samples.len() < points.len() * places {
+            samples.resize(points.len() * places, ColorSample::NONE);
         }
         counts.clear();
         counts.resize(points.len(), 0);
@@ -98,7 +98,7 @@ impl Workspace {
             pulp::Arch::new().dispatch(|| {
                 for (i, pixel, depth_m) in pixels.iter() {
                     if hidden == Hidden::Accepted || !view.hides(pixel, depth_m) {
-                        looks[i * places + counts[i]] = view.look(radii, pixel, depth_m);
+                        samples[i * places + counts[i]] = view.sample(radii, pixel, depth_m);
                         counts[i] += 1;
                     }
                 }
@@ -106,7 +106,7 @@ impl Workspace {
         }
         pulp::Arch::new().dispatch(|| {
             for (i, (point, count)) in points.iter_mut().zip(&*counts).enumerate() {
-                point.rgb = agreed_color(&looks[i * places..][..*count]);
+                point.rgb = agreed_color(&samples[i * places..][..*count]);
             }
         });
     }

@@ -31,7 +31,7 @@ pub(super) struct Row {
 pub enum Table {
     /// Generation strategies.
     Strategies,
-    /// Forecasts that come true, against forecasts of a standstill.
+    /// Correct forecasts compared with standstill forecasts.
     Forecasts,
     /// Color and depth of the points as conditions.
     Conditions,
@@ -45,7 +45,7 @@ pub enum Table {
 
 named!(Table, "part" {
     Strategies => "strategies", "Generation strategies";
-    Forecasts => "forecasts", "Forecasts that come true, against forecasts of a standstill";
+    Forecasts => "forecasts", "Correct forecasts compared with standstill forecasts";
     Conditions => "conditions", "Color and depth of the points as conditions";
     InferSteps => "infer_steps", "The same and twice the number of inference steps";
     Augmentation => "augmentation", "Asset augmentation in training; requires --plain-weights";

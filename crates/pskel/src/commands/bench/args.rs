@@ -15,7 +15,7 @@ use crate::args::size::SizeArgs;
 use crate::args::source::open_skeleton;
 use crate::args::substitutes::SubstituteArgs;
 use crate::args::{log, numbers};
-use crate::{WrongUsage, logs, tell, tell_notes, warn};
+use crate::{WrongUsage, logs, print_notes, print_progress, warn};
 
 /// Measure rendering speed: time per frame and per stage, points per second, peak memory
 ///
@@ -27,7 +27,8 @@ use crate::{WrongUsage, logs, tell, tell_notes, warn};
 pub(crate) struct BenchArgs {
     /// Recording whose frames are rendered in turn: FORMAT:PATH[@VERSION][#SCENE], like
     /// nuscenes:/data/nuscenes#scene-0061
-    #[arg(value_parser = log::log, requires = "skeleton", conflicts_with_all = ["synthetic", "points", "cameras"])]
+    #[arg(value_parser = log::log, requires = "skeleton")]
+    #[arg(conflicts_with_all = ["synthetic", "points", "cameras"])]
     log: Option<LogLocator>,
     /// Skeleton that was built from the recording
     #[arg(long, value_name = "SKEL", requires = "log")]
@@ -122,12 +123,12 @@ impl BenchArgs {
             (.., Some(points), Some(cameras)) => {
                 let views = cloud::cameras::read(cameras)?;
                 let cloud = cloud::read(points)?;
-                tell_notes(points, &cloud.notes);
+                print_notes(points, &cloud.notes);
                 Ok(Workload::cloud(cloud, views))
             }
             _ => {
                 let count = self.synthetic.unwrap_or(DEFAULT_POINTS);
-                tell(&format!("making a street of {count} points"));
+                print_progress(&format!("generating a street of {count} points"));
                 Ok(Workload::street(count, STREET_SEED)?)
             }
         }

@@ -10,8 +10,8 @@ use std::collections::BTreeMap;
 use pskel_eval::bench::{TRACE, bench};
 
 use crate::args::outputs;
+use crate::print_result;
 use crate::progress::Progress;
-use crate::say;
 
 /// Runs the command: loads the workload, measures, prints the report.
 pub(crate) fn run(args: &BenchArgs) -> anyhow::Result<()> {
@@ -24,7 +24,7 @@ pub(crate) fn run(args: &BenchArgs) -> anyhow::Result<()> {
     drop(progress);
     trace.map_or(Ok(()), |file| result.write_trace(&file))?;
     if args.json {
-        say(&serde_json::to_string(&result)?);
+        print_result(&serde_json::to_string(&result)?);
         return Ok(());
     }
     let frames = format!("after {} to warm up, {} in flight", args.warm_up, args.in_flight);
@@ -32,7 +32,7 @@ pub(crate) fn run(args: &BenchArgs) -> anyhow::Result<()> {
     if result.non_finite > 0 {
         notes.insert("points", format!("{} not finite, never drawn", result.non_finite));
     }
-    say(report::table(&result, &notes).trim_end());
-    say(&report::summary(&result));
+    print_result(report::table(&result, &notes).trim_end());
+    print_result(&report::summary(&result));
     Ok(())
 }

@@ -36,7 +36,7 @@ pub(super) fn table(result: &BenchResult, notes: &BTreeMap<&str, String>) -> Str
 /// Formats a one-line summary.
 pub(super) fn summary(result: &BenchResult) -> String {
     format!(
-        "drew {} frames of {} points in {} cameras by {} on {}: {:.2} ms a frame, {:.1} million points/s",
+        "rendered {} frames of {} points in {} cameras by {} on {}: {:.2} ms a frame, {:.1} million points/s",
         result.frames,
         result.points,
         result.cameras,

@@ -9,7 +9,7 @@ use serde_json::Value;
 
 use crate::args::log::LogRoots;
 use crate::logs;
-use crate::{WrongUsage, say};
+use crate::{WrongUsage, print_result};
 
 mod file;
 mod log;
@@ -50,16 +50,12 @@ pub(crate) fn run(args: InfoArgs) -> anyhow::Result<()> {
         text.push_str(&verified.text());
     }
     if args.json {
-        say(&serde_json::to_string_pretty(&json)?);
+        print_result(&serde_json::to_string_pretty(&json)?);
     } else {
-        say(text.trim_end());
+        print_result(text.trim_end());
     }
     let damaged = log::damaged(&json);
-    anyhow::ensure!(
-        damaged == 0,
-        "expected every file of the log to exist and to be whole, found {damaged} that are not: {}",
-        args.target
-    );
+    anyhow::ensure!(damaged == 0, "{damaged} files of the log are missing or damaged: {}", args.target);
     verified.map_or(Ok(()), |verified| verified.result(&args.target))
 }
 

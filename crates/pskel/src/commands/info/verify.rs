@@ -53,7 +53,7 @@ impl Verified {
     pub(super) fn text(&self) -> String {
         let Self { clouds, points, damaged } = self;
         let found = match damaged.len() {
-            0 => "all have their checksums".to_owned(),
+            0 => "all checksums match".to_owned(),
             count => format!("{count} damaged"),
         };
         let mut lines = format!("{:<10} {points} points in {clouds} clouds, {found}\n", "verified");
@@ -70,10 +70,7 @@ impl Verified {
     /// Fails if any cloud is damaged.
     pub(super) fn result(&self, target: &str) -> anyhow::Result<()> {
         let (clouds, damaged) = (self.clouds, self.damaged.len());
-        anyhow::ensure!(
-            damaged == 0,
-            "expected {clouds} clouds with their checksums, found {damaged} damaged: {target}"
-        );
+        anyhow::ensure!(damaged == 0, "{damaged} of {clouds} clouds are damaged: {target}");
         Ok(())
     }
 }

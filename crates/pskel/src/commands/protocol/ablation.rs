@@ -12,7 +12,7 @@ use super::logs::ProtocolLogs;
 use crate::args::names::names;
 use crate::args::rasterizer::RasterizerArgs;
 use crate::progress::Progress;
-use crate::{WrongUsage, logs, say};
+use crate::{WrongUsage, logs, print_result};
 
 /// Any logs: strategies, conditions and trainings of the generator, compared on the same frames
 ///
@@ -76,9 +76,9 @@ pub(super) fn run(args: &AblationArgs) -> anyhow::Result<()> {
         study.add_scene(scene, &rasterizer, &mut on_result).with_context(context)?;
     }
     drop(progress);
-    say(study.finish()?.table().trim_end());
+    print_result(study.finish()?.table().trim_end());
     let (scenes, seconds) = (locators.len(), start.elapsed().as_secs_f64());
-    say(&format!("{variants} variants in {scenes} scenes in {seconds:.2} s: {}", out.display()));
+    print_result(&format!("{variants} variants in {scenes} scenes in {seconds:.2} s: {}", out.display()));
     Ok(())
 }
 

@@ -37,7 +37,7 @@ use crate::args::rollout::RolloutArgs;
 use crate::args::source::SourceArgs;
 use crate::args::substitutes::SubstituteArgs;
 use crate::progress::Progress;
-use crate::{WrongUsage, logs, say, tell};
+use crate::{WrongUsage, logs, print_progress, print_result};
 
 /// Run an evaluation protocol: generate its clips and score them
 ///
@@ -131,20 +131,20 @@ pub(super) fn run(protocol: Protocol, args: &ClipProtocolArgs) -> anyhow::Result
     let mut failures = 0_usize;
     for locator in &logs {
         if let Err(error) = run.generate(locator) {
-            tell(&format!("failed: {locator}: {}", with_causes(error.as_ref())));
+            print_progress(&format!("failed: {locator}: {}", with_causes(error.as_ref())));
             failures += 1;
         }
     }
-    anyhow::ensure!(
-        failures < logs.len(),
-        "expected rollouts, found that each of {failures} recordings failed"
-    );
+    anyhow::ensure!(failures < logs.len(), "all {failures} recordings failed");
     run.finish(&dataset)?;
     files.close()?;
     let (count, seconds) = (logs.len(), start.elapsed().as_secs_f64());
     let plural = if count == 1 { "" } else { "s" };
-    say(&format!("{count} recording{plural} in {seconds:.2} s: {}", args.given.folder.out.display()));
-    anyhow::ensure!(failures == 0, "expected rollouts of every recording, found {failures} that failed");
+    print_result(&format!(
+        "{count} recording{plural} in {seconds:.2} s: {}",
+        args.given.folder.out.display()
+    ));
+    anyhow::ensure!(failures == 0, "{failures} recordings failed");
     Ok(())
 }
 
@@ -235,7 +235,7 @@ impl Run<'_> {
         self.copy.as_ref().map_or(Ok(()), |copy| copy.check(log))?;
         let skeleton = self.args.given.skeletons.skeletons.join(&log.name);
         if !skeleton.exists() {
-            tell(&format!("building {}", skeleton.display()));
+            print_progress(&format!("building {}", skeleton.display()));
         }
         let built = skeleton::open_or_build(&skeleton, source.reader())?;
         let limit = self.args.clips.map_or(usize::MAX, usize::from);
@@ -310,7 +310,7 @@ impl Run<'_> {
             rasterizer: args.rasterizer.clone(),
             opener: Arc::clone(&self.opener),
         }))?;
-        tell(&summary);
+        print_progress(&summary);
         Ok(())
     }
 
@@ -333,9 +333,12 @@ impl Run<'_> {
         if let Some(copy) = self.copy.filter(|_| !logs.is_empty()) {
             let counts = copy.write(&logs)?;
             let place = dataset.display();
-            tell(&format!("{} images replaced, {} kept: {place}", counts.replaced, counts.kept));
+            print_progress(&format!(
+                "{} images replaced, {} kept: {place}",
+                counts.replaced, counts.retained
+            ));
         }
-        say(table.trim_end());
+        print_result(table.trim_end());
         Ok(())
     }
 }

@@ -1,5 +1,5 @@
-//! `pskel protocol`: [`clips`] generates and scores the clips of a protocol, [`ablation`] the same frames with
-//! variants of the generator.
+//! `pskel protocol`: [`clips`] generates and scores the clips of a protocol, [`ablation`] the same frames
+//! with variants of the generator.
 
 mod ablation;
 mod clips;

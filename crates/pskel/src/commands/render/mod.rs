@@ -17,7 +17,7 @@ use point_skeleton::sequence::SequenceWriter;
 use point_skeleton::{RenderOptions, Renderer};
 
 use crate::progress::Progress;
-use crate::{WrongUsage, say, warn};
+use crate::{WrongUsage, print_result, warn};
 
 /// Runs the command: opens the inputs, renders and writes the maps.
 pub(crate) fn run(args: RenderArgs) -> anyhow::Result<()> {
@@ -29,7 +29,7 @@ pub(crate) fn run(args: RenderArgs) -> anyhow::Result<()> {
         warn(&format!("{count} {note}"));
     }
     if args.distort && log.rig.iter().all(|rig| rig.camera.distortion.is_none()) {
-        warn(&format!("--distort changes nothing: log {} states no lens distortion", log.shown_name()));
+        warn(&format!("--distort has no effect: log {} has no lens distortion", log.shown_name()));
     }
     let skeleton = args.source.open_skeleton(log)?;
     let views = args.cameras.as_deref().map(cloud::cameras::read).transpose()?;
@@ -72,7 +72,11 @@ pub(crate) fn run(args: RenderArgs) -> anyhow::Result<()> {
     drop(progress);
     let summary = summary(&frames, &states.missing_images(), renderer.rasterizer());
     warn_of_times_outside(&frames, skeleton.manifest.times_us(&log.name));
-    say(&format!("{summary} in {:.2} s: {}", start.elapsed().as_secs_f64(), args.folder.out.display()));
+    print_result(&format!(
+        "{summary} in {:.2} s: {}",
+        start.elapsed().as_secs_f64(),
+        args.folder.out.display()
+    ));
     Ok(())
 }
 
@@ -91,7 +95,7 @@ fn warn_of_times_outside(frames: &[IndexFrame], built_from: Option<[i64; 2]>) {
         frames.iter().filter(|f| !(first..=last).contains(&f.t_us)).map(|f| f.name.as_str()).collect();
     if !outside.is_empty() {
         let names = outside.join(", ");
-        warn(&format!("the skeleton was built from times {first} to {last}; outside of them lie: {names}"));
+        warn(&format!("the skeleton covers times {first} to {last}; outside are: {names}"));
     }
 }
 
@@ -103,7 +107,7 @@ fn summary(
     let maps: usize = frames.iter().map(|f| f.cameras.len()).sum();
     let missing = match missing.iter().map(|(name, count)| format!("{count} of {name}")).collect::<Vec<_>>() {
         none if none.is_empty() => String::new(),
-        some => format!(" (images missing, drawn from the frame's own pose: {})", some.join(", ")),
+        some => format!(" (missing images, rendered from the frame's pose: {})", some.join(", ")),
     };
     let stages = rasterizer.take_stages().0;
     let stages: Vec<String> =

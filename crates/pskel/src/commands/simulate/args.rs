@@ -31,6 +31,11 @@ use crate::args::source::SourceArgs;
 use crate::args::substitutes::SubstituteArgs;
 use crate::{WrongUsage, warn};
 
+/// Help of `--steps`.
+const STEPS: &str = "Number of simulation steps; step 0 is the log's. A replayed ego stops when the log \
+    ends. With other policies it drives on: only actors under a policy remain there, and the skeleton may have \
+    no points";
+
 /// Simulate a recording in a closed loop: ego and other actors move by policies, and every step is rendered
 ///
 /// Writes steps/STEP with the maps (as render writes a frame), birdseye.png, view/MAP.jpg (images of the
@@ -38,9 +43,7 @@ use crate::{WrongUsage, warn};
 /// rollout.mp4 and index.html, a page that plays the rollout. If a planner fails, all of these are written
 /// for the steps before the failure.
 #[derive(Debug, Args)]
-#[command(mut_arg("steps", |arg| arg.required(true).help("Number of simulation steps; step 0 is the log's. A \
-    replayed ego stops when the log ends. With other policies it drives on: only actors under a policy remain \
-    there, and the skeleton may have no points")))]
+#[command(mut_arg("steps", |arg| arg.required(true).help(STEPS)))]
 pub(crate) struct SimulateArgs {
     #[command(flatten)]
     pub(super) source: SourceArgs,
@@ -219,7 +222,8 @@ impl SimulateArgs {
         if let Some(offset) = self.ego_offset {
             let moved = MovedEgo::new(source.into_reader(), offset).with_context(|| {
                 format!(
-                    "expected a log town:.. with --ego-offset, whose images can be rendered there, found {}",
+                    "expected a synthetic log (town:..) with --ego-offset, since recorded logs have no \
+                        images at other poses, found {}",
                     self.source.log
                 )
             })?;
@@ -269,13 +273,14 @@ impl SimulateArgs {
         };
         let every = every.unwrap_or_else(nearest);
         let start = self.rollout.start.unwrap_or(i64::MIN);
-        let there = frames.iter().filter(|frame| frame.t_us >= start).count();
+        let available = frames.iter().filter(|frame| frame.t_us >= start).count();
         anyhow::ensure!(
-            there > every,
-            "expected more than {every} frames from --start on (--every {every}), found {there} in log {}",
+            available > every,
+            "expected more than {every} frames from --start on (--every {every}), found {available} in \
+                log {}",
             scenario.log.shown_name()
         );
-        Ok((Some(every), wanted.min((there - 1) / every)))
+        Ok((Some(every), wanted.min((available - 1) / every)))
     }
 
     /// Returns whether ego and other actors follow the log throughout.

@@ -31,14 +31,14 @@ use self::generation::Opened;
 use self::inputs::Inputs;
 use self::summary::{Planned, summary};
 use crate::progress::Progress;
-use crate::{WrongUsage, say, warn};
+use crate::{WrongUsage, print_result, warn};
 
 /// Default size of maps if cameras are larger.
 const SIZE: ImageSize = ImageSize { height: 256, width: 448 };
 
 /// Runs the command: simulates, renders, writes, and prints the summary.
 pub(crate) fn run(args: SimulateArgs) -> anyhow::Result<()> {
-    say(&rollout(args)?);
+    print_result(&rollout(args)?);
     Ok(())
 }
 
@@ -82,7 +82,7 @@ pub(crate) fn rollout(args: SimulateArgs) -> anyhow::Result<String> {
     let out = (!args.dry).then_some((args.folder.out.as_path(), &read));
     let rollout = Rollout::open(rollout_inputs, options, out, args.rollout.resume_after()).map_err(usage)?;
     if args.rollout.resume_after().is_some() && rollout.steps_done() == 0 {
-        warn("no rollout with a step was found to resume; this one starts at step 0");
+        warn("--resume: found no earlier steps, starting at step 0");
     }
     let render = RenderOptions {
         rasterizer: args.rasterizer.desc()?,

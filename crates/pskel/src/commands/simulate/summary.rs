@@ -51,7 +51,7 @@ fn results(metrics: &Metrics) -> String {
         (count, fault) => format!("{count} collisions, {fault} the ego's fault"),
     };
     format!(
-        "{collisions}; {}; at most {:.2} m and {:.1} degrees off the recorded path",
+        "{collisions}; {}; deviation from the recorded path at most {:.2} m and {:.1} degrees",
         comfort(&metrics.comfort),
         metrics.lateral_deviation_m.max,
         metrics.heading_deviation_rad.max.to_degrees(),
@@ -109,7 +109,7 @@ mod tests {
 
     #[test]
     fn formats_short_results() {
-        let smooth = "; comfortable; at most 0.46 m and 5.7 degrees off the recorded path";
+        let smooth = "; comfortable; deviation from the recorded path at most 0.46 m and 5.7 degrees";
         for (faults, begin) in [
             (&[][..], "0 collisions"),
             (&[false], "1 collision"),

@@ -7,7 +7,7 @@ use super::Case;
 use crate::tiny_log::RunPskel as _;
 use crate::tiny_log::{FIRST_US, FRAMES, STEP_US, TinyLog};
 use pskel_testing::av2_log::{TinyAv2, integers};
-use pskel_testing::nuplan_log::Made;
+use pskel_testing::nuplan_log::NuplanLog;
 
 const HOUR_US: i64 = 3_600_000_000;
 
@@ -181,12 +181,12 @@ fn units_are_named_in_all_tables() {
     let text = all(&|t| t / 1000);
     assert!(text.contains("frames 0.0005 s apart (milliseconds instead of microseconds?): 3"), "{text}");
 
-    let made = Made::new();
-    made.sql("UPDATE lidar_pc SET timestamp = timestamp / 1000000");
-    made.refuses(&["frame to frame", "(seconds instead of microseconds?)"]);
-    let made = Made::new();
-    made.sql("UPDATE image SET timestamp = timestamp * 1000");
-    made.refuses(&["of 1970", "(nanoseconds instead of microseconds?)"]);
+    let nuplan = NuplanLog::new();
+    nuplan.sql("UPDATE lidar_pc SET timestamp = timestamp / 1000000");
+    nuplan.refuses(&["frame to frame", "(seconds instead of microseconds?)"]);
+    let nuplan = NuplanLog::new();
+    nuplan.sql("UPDATE image SET timestamp = timestamp * 1000");
+    nuplan.refuses(&["of 1970", "(nanoseconds instead of microseconds?)"]);
 
     let times = |table: &str, divisor: i64| {
         let log = TinyAv2::new();

@@ -9,7 +9,7 @@ use serde_json::Value;
 use super::Case;
 use crate::tiny_log::RunPskel as _;
 use crate::tiny_log::{FRAMES, TinyLog, sweep};
-use pskel_testing::nuplan_log::{Made, sweep_file};
+use pskel_testing::nuplan_log::{NuplanLog, sweep_file};
 use pskel_testing::shared::shared;
 
 /// Builds a log of a case, and returns the content of `skeleton.json`.
@@ -244,7 +244,7 @@ fn points_are_retained_without_rings_or_intensities() {
 #[test]
 fn rejects_other_formats_by_name_in_every_layout() {
     let log = TinyLog::new();
-    let made = Made::new();
+    let nuplan = NuplanLog::new();
     for (start, name) in [
         (&b"\x93NUMPY\x01\0v\0{'descr': '<f4'"[..], "an NPY array"),
         (b"PK\x03\x04", "a ZIP archive (unpack it)"),
@@ -254,7 +254,7 @@ fn rejects_other_formats_by_name_in_every_layout() {
     ] {
         let length = 4000 - start.len();
         let file = if name == "text" { start.repeat(50) } else { [start, &vec![7; length]].concat() };
-        for path in [log.path(&sweep(0)), made.blob(&sweep_file(0))] {
+        for path in [log.path(&sweep(0)), nuplan.blob(&sweep_file(0))] {
             std::fs::write(path, &file).unwrap();
         }
         let ended = log.run("build nuscenes:log --out out/none --missing error");
@@ -266,13 +266,13 @@ fn rejects_other_formats_by_name_in_every_layout() {
         };
         assert!(message.contains(&shown) && message.contains("0.pcd.bin"), "{message}");
         let found = if name == "text" { "found \"1.0 2.0".to_owned() } else { format!("found {name}: ") };
-        let message = read(&made).unwrap_err();
+        let message = read(&nuplan).unwrap_err();
         assert!(message.contains(&found), "{message}");
     }
 }
 
 /// Reads the first sweep of a nuPlan log.
-fn read(made: &Made) -> Result<Sweep, String> {
-    let dataset = made.open().unwrap();
+fn read(nuplan: &NuplanLog) -> Result<Sweep, String> {
+    let dataset = nuplan.open().unwrap();
     dataset.read_sweep(&dataset.recording().frames[0].sweeps[0]).map_err(|error| error.to_string())
 }

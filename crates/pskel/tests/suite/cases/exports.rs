@@ -23,7 +23,7 @@ fn exports_do_not_replace_foreign_files() {
     ] {
         let log = TinyLog::new();
         let export = format!("{EXPORT} --layout {layout}");
-        let told = log.succeed(&export);
+        let reported = log.succeed(&export);
         let whole = tree(&log.path("out"));
         // The record is lost; the files belong to nobody then.
         let record = log.path("out/shards/tiny-000000.json");
@@ -44,7 +44,7 @@ fn exports_do_not_replace_foreign_files() {
                 "failed: tiny-000000",
             ],
         );
-        assert!(tree(&log.path("out")) == before, "{layout}: {told}");
+        assert!(tree(&log.path("out")) == before, "{layout}: {reported}");
         // A folder of the way is a link.
         std::fs::write(&record, &record_text).unwrap();
         let Some((folder, _)) = file.split_once('/') else {

@@ -9,7 +9,7 @@ use super::Case;
 use crate::tiny_log::{CAMERAS, TinyLog, picture, sweep};
 use crate::untrusted::guarded;
 use pskel_testing::av2_log::{self, TinyAv2};
-use pskel_testing::nuplan_log::{Made, RING, image_file};
+use pskel_testing::nuplan_log::{NuplanLog, RING, image_file};
 use pskel_testing::shared::shared;
 
 const DB: &str = "nuplan-v1.1/splits/mini/2020.01.01.00.00.00_veh-02_00000_00079.db";
@@ -120,10 +120,10 @@ fn damaged_files_are_skipped_and_counted_in_nuscenes() {
 
 #[test]
 fn missing_files_are_skipped_and_counted_in_nuplan() {
-    let made = Made::new();
-    std::fs::remove_file(made.blob(&image_file(RING[0], 0))).unwrap();
-    let log = format!("nuplan:{}", made.database().display());
-    assert_policy(&made.path(""), &log, "1 missing image files", &image_file(RING[0], 0), 1);
+    let nuplan = NuplanLog::new();
+    std::fs::remove_file(nuplan.blob(&image_file(RING[0], 0))).unwrap();
+    let log = format!("nuplan:{}", nuplan.database().display());
+    assert_policy(&nuplan.path(""), &log, "1 missing image files", &image_file(RING[0], 0), 1);
 }
 
 #[test]
@@ -201,10 +201,10 @@ fn argoverse_without_annotations_has_frames_without_actors() {
 /// Neither a broken map nor a map that was not downloaded concerns a command that does not draw it.
 #[test]
 fn maps_that_are_not_drawn_are_not_read() {
-    let made = Made::new();
-    let (root, log) = (made.path(""), format!("nuplan:{}", made.database().display()));
+    let nuplan = NuplanLog::new();
+    let (root, log) = (nuplan.path(""), format!("nuplan:{}", nuplan.database().display()));
     succeed(&root, &format!("build {log} --out sk"));
-    std::fs::remove_file(made.map()).unwrap();
+    std::fs::remove_file(nuplan.map()).unwrap();
     let some = "--maps color,depth --size 16x24 --rasterizer cpu";
     succeed(&root, &format!("render {log} --skeleton sk --out maps --frames 0..1 {some}"));
     succeed(
@@ -222,11 +222,11 @@ fn maps_that_are_not_drawn_are_not_read() {
 
 #[test]
 fn missing_map_layers_are_counted() {
-    let made = Made::new();
-    made.map_sql(
+    let nuplan = NuplanLog::new();
+    nuplan.map_sql(
         "DROP TABLE carpark_areas; DELETE FROM gpkg_geometry_columns WHERE table_name = 'carpark_areas';",
     );
-    let (json, code) = info(&made.path(""), &format!("nuplan:{}", made.database().display()));
+    let (json, code) = info(&nuplan.path(""), &format!("nuplan:{}", nuplan.database().display()));
     assert_eq!(
         (&json["left_out"]["map: maps without carpark_areas"], code),
         (&1.into(), Some(0)),

@@ -340,7 +340,7 @@ fn declared_sizes_are_compared_with_the_address_space() {
         let output = run_within_time(&log.path(""), &format!("ulimit -v {kib}; exec {PSKEL} {args}"));
         assert_failed(&output, 1, &[need, "limited by ulimit -v"]);
         let stderr = String::from_utf8_lossy(&output.stderr);
-        let is_progress = |line: &&str| line.starts_with('[') || line.starts_with("making a street");
+        let is_progress = |line: &&str| line.starts_with('[') || line.starts_with("generating a street");
         assert_eq!(stderr.lines().filter(|line| !is_progress(line)).count(), 1, "{args}: {stderr}");
         assert_eq!(std::fs::read_dir(log.path("out")).unwrap().count(), 0, "{args}");
     }

@@ -9,7 +9,7 @@ use serde_json::{Value, json};
 use super::Case;
 use crate::tiny_log::RunPskel as _;
 use crate::tiny_log::{HEIGHT, PSKEL, TinyLog, WIDTH, assert_failed, picture, sweep};
-use pskel_testing::nuplan_log::Made;
+use pskel_testing::nuplan_log::NuplanLog;
 
 /// Edits the text of a table.
 fn edit(log: &TinyLog, table: &str, edit: impl FnOnce(String) -> Vec<u8>) {
@@ -114,12 +114,12 @@ fn undownloaded_files_are_named_in_every_reader() {
             let (_, text) = info(&log);
             assert!(text.contains(found) && text.contains(&file), "{file}: {text}");
         }
-        let made = Made::new();
-        std::fs::write(made.map(), content).unwrap();
-        let message = made.open().unwrap().read_map_error();
+        let nuplan = NuplanLog::new();
+        std::fs::write(nuplan.map(), content).unwrap();
+        let message = nuplan.open().unwrap().read_map_error();
         assert!(message.contains(found) && message.ends_with("map.gpkg"), "{message}");
-        std::fs::write(made.database(), content).unwrap();
-        let message = made.open().unwrap_err().to_string();
+        std::fs::write(nuplan.database(), content).unwrap();
+        let message = nuplan.open().unwrap_err().to_string();
         assert!(message.contains(found) && message.ends_with(".db"), "{message}");
         let log = TinyLog::new();
         for name in ["a.npy", "a.ply", "a.json"] {
@@ -162,17 +162,17 @@ fn truncated_files_are_named() {
         }
     }
     for bytes in [100, 8192] {
-        let made = Made::new();
+        let nuplan = NuplanLog::new();
         let cut = |path: &Path| {
             let length = std::fs::metadata(path).unwrap().len();
             std::fs::OpenOptions::new().write(true).open(path).unwrap().set_len(bytes).unwrap();
             format!("found {bytes} of at least {length} bytes (cut off): ")
         };
-        let found = cut(&made.map());
-        let message = made.open().unwrap().read_map_error();
+        let found = cut(&nuplan.map());
+        let message = nuplan.open().unwrap().read_map_error();
         assert!(message.contains(&found) && message.ends_with("map.gpkg"), "{message}");
-        let found = cut(&made.database());
-        made.refuses(&[&found]);
+        let found = cut(&nuplan.database());
+        nuplan.refuses(&[&found]);
     }
 }
 

@@ -39,9 +39,12 @@ impl Case {
     fn splat(&self, points: &str) -> (Maps, String) {
         let args =
             format!("splat --points {points} --cameras c.json --splat 100:0 --rasterizer cpu --out f.npz");
-        let (_, told) = self.succeed(&args);
-        let notes =
-            told.lines().filter(|line| line.starts_with("note: ")).map(|line| format!("{line}\n")).collect();
+        let (_, reported) = self.succeed(&args);
+        let notes = reported
+            .lines()
+            .filter(|line| line.starts_with("note: "))
+            .map(|line| format!("{line}\n"))
+            .collect();
         let path = self.path().join("f.npz");
         let maps = Maps {
             color: npz::read::<u8>(&path, "color").data,
@@ -157,8 +160,8 @@ fn an_origin_applies_only_to_its_file() {
     case.write_npy("munich.npy", &scene(MUNICH));
     case.write_npy("berlin.npy", &scene(BERLIN));
     case.write_npy("local.npy", &scene([1.0, 2.0, 3.0]));
-    let (told, _) = case.succeed("convert munich.npy --out z.ply");
-    assert!(told.contains("relative to the origin in z.ply.origin.json"), "{told}");
+    let (reported, _) = case.succeed("convert munich.npy --out z.ply");
+    assert!(reported.contains("relative to the origin in z.ply.origin.json"), "{reported}");
     case.succeed("convert berlin.npy --out z.npy");
     let near = |name: &str, [x, ..]: [f64; 3]| (origin(name) - x).abs() < 100.0;
     assert!(near("z.ply.origin.json", MUNICH) && near("z.npy.origin.json", BERLIN));
@@ -200,8 +203,8 @@ fn coordinates_rounded_to_single_precision_are_noted() {
     let expected =
         "400 of 400 points lie more than 16384 m from zero in single precision: rounded by up to 0.250 m";
     assert!(notes.contains(expected), "{notes}");
-    let (told, _) = case.succeed("info p.npy --json");
-    assert!(told.contains(expected), "{told}");
+    let (reported, _) = case.succeed("info p.npy --json");
+    assert!(reported.contains(expected), "{reported}");
 }
 
 #[test]
@@ -308,9 +311,9 @@ fn non_finite_words_are_read_in_text_ply() {
     assert_eq!(binary.depth.iter().filter(|depth| **depth == 5.0).count(), 1);
     for points in ["nan.ply", "inf.ply"] {
         assert!(case.splat(points).0 == binary, "{points}");
-        let (told, _) = case.succeed(&format!("info {points} --json"));
-        let info: serde_json::Value = serde_json::from_str(&told).unwrap();
-        assert!(told.contains("\"not_finite\": 1") || told.contains("\"not_finite\":1"), "{info}");
+        let (reported, _) = case.succeed(&format!("info {points} --json"));
+        let info: serde_json::Value = serde_json::from_str(&reported).unwrap();
+        assert!(reported.contains("\"not_finite\": 1") || reported.contains("\"not_finite\":1"), "{info}");
     }
     let text = std::fs::read_to_string(case.path().join("nan.ply")).unwrap();
     for (from, to) in [

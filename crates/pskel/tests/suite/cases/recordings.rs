@@ -25,8 +25,8 @@ fn write_templates(log: &TinyLog, left_out: usize) {
     points.truncate(points.len() - left_out);
     let (bounds, xxh3) = (Bounds::of(&points).unwrap(), Checksum::of(&points));
     let template = Template { points: points.len(), bounds, xxh3, ..template };
-    let made = (vec![(template, points)], TemplateReport::default());
-    let library = TemplateLibrary::new(Vec::new(), TemplateOptions::default(), made);
+    let nuplan = (vec![(template, points)], TemplateReport::default());
+    let library = TemplateLibrary::new(Vec::new(), TemplateOptions::default(), nuplan);
     let target = TemplateLibrary::target(&log.path("templates"), &Inputs::default()).unwrap();
     library.write::<FileError>(target, |_| Ok(())).unwrap();
 }
@@ -59,7 +59,7 @@ fn rejects_shards_with_other_templates() {
     log.succeed(&export);
     let whole = tree(&log.path("out"));
     let again = log.succeed(&export);
-    assert!(again.contains("1 were there already"), "{again}");
+    assert!(again.contains("1 already existed"), "{again}");
     write_templates(&log, 1);
     assert_failed(&log.run(&export), 1, &["expected a shard of this template library", "--verify"]);
     assert!(tree(&log.path("out")) == whole);
@@ -138,8 +138,11 @@ fn a_lost_first_pose_is_noted_and_does_not_move_the_origin() {
         let built = log.succeed("build nuscenes:log --out sk");
         assert!(built.contains(&format!("1 {jumps}")), "{built}");
         let output = log.run("convert sk --out clouds");
-        let told = String::from_utf8_lossy(&output.stderr);
-        assert!(output.status.success() && told.contains("lie more than 16384 m from the origin"), "{told}");
+        let reported = String::from_utf8_lossy(&output.stderr);
+        assert!(
+            output.status.success() && reported.contains("lie more than 16384 m from the origin"),
+            "{reported}"
+        );
         let origin = &log.json("clouds/origins.json")["background"]["origin"];
         let origin: [f64; 3] = serde_json::from_value(origin.clone()).unwrap();
         assert!((glam::DVec3::from(origin) - START).abs().max_element() < 100.0, "{origin:?}");

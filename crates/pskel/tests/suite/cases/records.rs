@@ -7,7 +7,7 @@ use super::gaps::{assert_policy, info};
 use crate::tiny_log::RunPskel as _;
 use crate::tiny_log::{FRAMES, TinyLog};
 use pskel_testing::av2_log::{self, TinyAv2};
-use pskel_testing::nuplan_log::{FRAMES as SHOTS, Made, RING, pickled, token};
+use pskel_testing::nuplan_log::{FRAMES as SHOTS, NuplanLog, RING, pickled, token};
 
 const DATA: &str = "sweeps and images that refer to a missing record";
 const BOXES: &str = "boxes that refer to a missing record";
@@ -70,9 +70,9 @@ fn missing_rows_of_nuplan_skip_their_dependents() {
             SHOTS,
         ),
     ] {
-        let made = Made::new();
-        made.sql(&statement);
-        let (root, log) = (made.path(""), format!("nuplan:{}", made.database().display()));
+        let nuplan = NuplanLog::new();
+        nuplan.sql(&statement);
+        let (root, log) = (nuplan.path(""), format!("nuplan:{}", nuplan.database().display()));
         assert_policy(&root, &log, kind, &format!("whose {table} "), 0);
         assert_eq!(info(&root, &log).0["frames"], frames, "{statement}");
     }
@@ -119,10 +119,10 @@ fn an_empty_table_of_boxes_is_a_log_without_annotations() {
     let log = TinyLog::new();
     edit(&log, "sample_annotation", Vec::clear);
     assert_policy(&log.path(""), "nuscenes:log", "1 logs without annotations", "sample_annotation.json", 0);
-    let made = Made::new();
-    made.sql("DELETE FROM lidar_box;");
-    let log = format!("nuplan:{}", made.database().display());
-    assert_policy(&made.path(""), &log, "1 logs without annotations", "without actors", 0);
+    let nuplan = NuplanLog::new();
+    nuplan.sql("DELETE FROM lidar_box;");
+    let log = format!("nuplan:{}", nuplan.database().display());
+    assert_policy(&nuplan.path(""), &log, "1 logs without annotations", "without actors", 0);
 }
 
 /// Coefficients of the lens under other names, in the calibration or in the sensor.
@@ -233,9 +233,9 @@ fn other_spellings_of_values_yield_the_same_log() {
 #[test]
 fn distortion_of_nuplan_may_be_short_or_empty() {
     let log = |value: &str| {
-        let made = Made::new();
-        made.sql(&format!("UPDATE camera SET distortion = {value} WHERE channel = '{}';", RING[1]));
-        info(&made.path(""), &format!("nuplan:{}", made.database().display()))
+        let nuplan = NuplanLog::new();
+        nuplan.sql(&format!("UPDATE camera SET distortion = {value} WHERE channel = '{}';", RING[1]));
+        info(&nuplan.path(""), &format!("nuplan:{}", nuplan.database().display()))
     };
     let note = "cameras without distortion (NULL), whose images are read as rectified";
     let (short, code) = log(&pickled(&[-0.3, 0.1, 0.0, 0.0]));

@@ -105,8 +105,8 @@ fn merged_lidars_are_detected_once_per_log() {
     sweeps.write(|rows| bytes(rows.iter().flatten().copied()));
     // Few points of the second LiDAR say nothing on their own.
     let (path, rows) = &sweeps.files[1];
-    let kept = rows.iter().enumerate().filter(|(k, row)| row[4] == 0.0 || k % 500 == 0);
-    std::fs::write(path, bytes(kept.flat_map(|(_, row)| *row))).unwrap();
+    let retained = rows.iter().enumerate().filter(|(k, row)| row[4] == 0.0 || k % 500 == 0);
+    std::fs::write(path, bytes(retained.flat_map(|(_, row)| *row))).unwrap();
     let alone = read_sweep_file(path).unwrap();
     assert!(!alone.devices && alone.notes.keys().any(|note| note.contains("few ring numbers")));
     let locator =
@@ -188,8 +188,8 @@ fn sweeps_without_content_are_damaged_files() {
         std::fs::write(log.path(&sweep(1)), content).unwrap();
         let info = log.run("info --json nuscenes:log");
         assert_eq!(info.status.code(), Some(1), "{found}");
-        let told: Value = serde_json::from_slice(&info.stdout).unwrap();
-        let damaged = told["damaged"][0].as_str().unwrap();
+        let reported: Value = serde_json::from_slice(&info.stdout).unwrap();
+        let damaged = reported["damaged"][0].as_str().unwrap();
         assert!(damaged.contains(found) && damaged.contains("1.pcd.bin"), "{damaged}");
         log.succeed("build nuscenes:log --out out/sk");
         assert_eq!(log.json("out/sk/skeleton.json")["report"]["notes"]["damaged sweep files"], 1);

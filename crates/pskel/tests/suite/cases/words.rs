@@ -9,7 +9,7 @@ use serde_json::{Value, json};
 use super::Case;
 use crate::tiny_log::RunPskel as _;
 use crate::tiny_log::{TinyLog, assert_failed};
-use pskel_testing::nuplan_log::Made;
+use pskel_testing::nuplan_log::NuplanLog;
 
 fn recording(root: &Path) -> Recording {
     NuScenes::open(&LogLocator::new(&point_skeleton::dataset::nuscenes::FORMAT, root))
@@ -69,17 +69,17 @@ fn boxes_of_unknown_categories_are_counted() {
     let shown = String::from_utf8(shown.stdout).unwrap();
     assert!(shown.contains(&format!("{boxes}: 3")), "{shown}");
     let built = log.run("build nuscenes:log --out sk");
-    let told = [built.stdout, built.stderr].concat();
-    assert!(String::from_utf8_lossy(&told).contains(boxes), "{}", String::from_utf8_lossy(&told));
+    let reported = [built.stdout, built.stderr].concat();
+    assert!(String::from_utf8_lossy(&reported).contains(boxes), "{}", String::from_utf8_lossy(&reported));
 
-    let made = Made::new();
-    made.sql("UPDATE category SET name = 'Hovercraft';");
-    let log = made.open().unwrap();
+    let nuplan = NuplanLog::new();
+    nuplan.sql("UPDATE category SET name = 'Hovercraft';");
+    let log = nuplan.open().unwrap();
     let count: usize = log.recording().frames.iter().map(|frame| frame.boxes.len()).sum();
     assert!(count > 0);
     assert_eq!(note(log.recording(), "boxes of the unknown category Hovercraft (read as objects)"), count);
-    made.sql("UPDATE category SET name = 'Car';");
-    let log = made.open().unwrap();
+    nuplan.sql("UPDATE category SET name = 'Car';");
+    let log = nuplan.open().unwrap();
     assert!(log.recording().tracks.iter().all(|track| track.class == Class::MotorVehicle));
 }
 

@@ -79,7 +79,10 @@ fn the_table_ends_with_a_summary() {
         assert!(text.contains(part), "{text}\nexpected {part}");
     }
     assert!(
-        text.lines().last().unwrap().starts_with("drew 3 frames of 3000 points in 6 cameras by cpu on host")
+        text.lines()
+            .last()
+            .unwrap()
+            .starts_with("rendered 3 frames of 3000 points in 6 cameras by cpu on host")
     );
     let progress = String::from_utf8(output.stderr).unwrap();
     assert!(progress.contains("[1/4] warm-up") && progress.contains("[4/4] frame"), "{progress}");

@@ -101,7 +101,7 @@ fn rejects_builds_that_cannot_be_resumed() {
     let lock = std::fs::File::open(partial.join("lock")).unwrap();
     lock.lock().unwrap();
     let output = log.run("build nuscenes:log --out out/sk --resume");
-    assert_failed(&output, 1, &["no other process at work on this output, found process", ": out/sk\n"]);
+    assert_failed(&output, 1, &["output is locked by process", ": out/sk\n"]);
     drop(lock);
     log.succeed("build nuscenes:log --out out/sk --resume");
     assert!(tree(&log.path("out/sk")) == tree(&log.path("out/whole")) && !partial.exists());

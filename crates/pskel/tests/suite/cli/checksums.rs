@@ -53,8 +53,8 @@ fn changed_bytes_are_detected_before_points_are_used() {
         ] {
             log.fail(command, 1, &[&expected, &path]);
         }
-        let told = verified(&log, "sk", 1);
-        let [damaged] = told["damaged"].as_array().unwrap().as_slice() else { panic!("{told}") };
+        let reported = verified(&log, "sk", 1);
+        let [damaged] = reported["damaged"].as_array().unwrap().as_slice() else { panic!("{reported}") };
         assert!(damaged.as_str().unwrap().starts_with(&expected), "{damaged}");
         // Without `--verify`, `info` reads no points.
         assert!(log.run("info sk").status.success());
@@ -77,14 +77,14 @@ fn every_damaged_cloud_is_listed() {
     let whole = json!({"clouds": count, "points": points, "damaged": []});
     assert_eq!(verified(&log, "sk", 0), whole);
     let text = String::from_utf8(log.run("info --verify sk").stdout).unwrap();
-    let line = format!("verified   {points} points in {count} clouds, all have their checksums");
+    let line = format!("verified   {points} points in {count} clouds, all checksums match");
     assert!(text.contains(&line), "{text}");
 
     let end = std::fs::metadata(log.path("sk/background.points")).unwrap().len() as usize - 1;
     flip_bit(&log, "sk/background.points", end);
     flip_bit(&log, "sk/templates.points", 0);
     let output = log.run("info --verify sk");
-    let found = format!("expected {count} clouds with their checksums, found 2 damaged: sk");
+    let found = format!("2 of {count} clouds are damaged: sk");
     assert_failed(&output, 1, &[&found]);
     let text = String::from_utf8(output.stdout).unwrap();
     for part in

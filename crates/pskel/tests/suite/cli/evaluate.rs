@@ -160,7 +160,7 @@ fn rollouts_are_scored_individually_and_together() {
     assert!(
         lines[4].starts_with("scored 64 images of 2 rollouts: PSNR ") && lines[4].ends_with(": out.json")
     );
-    assert!(stderr.contains("note: 32 images equal the truth and have no PSNR: copy"), "{stderr}");
+    assert!(stderr.contains("note: 32 images equal the ground truth and have no PSNR: copy"), "{stderr}");
     let [copy, faded] = [0, 1].map(|i| &json["rollouts"][i]["scores"]);
     assert_eq!(
         (&json["rollouts"][0]["references"], &json["rollouts"][1]["sizes"][0]),
@@ -261,8 +261,8 @@ fn unknown_metrics_are_null_and_noted() {
     }
     let (stdout, stderr, json) = rollouts.succeed("a");
     for note in [
-        "note: the truth of 15 of 16 steps is not known: a",
-        "note: no motion: two steps in a row need truth and instance maps",
+        "note: 15 of 16 steps have no ground truth: a",
+        "note: no motion: requires ground truth and instance maps of two consecutive steps",
     ] {
         assert!(stderr.contains(note), "{stderr}");
     }

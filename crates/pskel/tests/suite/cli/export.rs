@@ -38,8 +38,8 @@ fn copy(log: &TinyLog, folder: &str, scene: &str) {
 #[test]
 fn tar_shards_contain_the_maps_of_render() {
     let log = TinyLog::new();
-    let told = log.succeed(&format!("{EXPORT} --layout webdataset --format safetensors --images"));
-    assert!(told.starts_with("wrote 1 shards with 3 samples, 1 skeletons built"), "{told}");
+    let reported = log.succeed(&format!("{EXPORT} --layout webdataset --format safetensors --images"));
+    assert!(reported.starts_with("wrote 1 shards with 3 samples, 1 skeletons built"), "{reported}");
     let render = "render nuscenes:log --skeleton sks/tiny --rasterizer cpu --out-size 32x48";
     log.succeed(&format!("{render} --format safetensors --out rendered"));
     let files = untar(&log.path("out/tiny-000000.tar"));
@@ -181,8 +181,8 @@ fn parts_and_later_runs_give_the_same_bytes_as_one_run() {
     assert_eq!(listed.lines().count(), 2 * FRAMES);
     assert!(listed.ends_with("5 other_scene-000002 2..3 nuscenes:log2\n"), "{listed}");
     assert!(!log.path("listed").exists());
-    let told = log.succeed(&format!("{both} --out whole --jobs 2"));
-    assert!(told.contains("wrote 6 shards with 6 samples"), "{told}");
+    let reported = log.succeed(&format!("{both} --out whole --jobs 2"));
+    assert!(reported.contains("wrote 6 shards with 6 samples"), "{reported}");
     let part = |part: usize| {
         let mut command = Command::new(PSKEL);
         command.current_dir(log.path("")).args(both.split_whitespace()).args(["--out", "parts"]);
@@ -197,8 +197,8 @@ fn parts_and_later_runs_give_the_same_bytes_as_one_run() {
     // A later run writes what is missing or damaged, and nothing else.
     std::fs::remove_file(log.path("parts/tiny-000001.tar")).unwrap();
     std::fs::remove_file(log.path("parts/shards/other_scene-000000.json")).unwrap();
-    let told = log.succeed(&format!("{both} --out parts"));
-    assert!(told.starts_with("wrote 2 shards with 2 samples, 4 were there already"), "{told}");
+    let reported = log.succeed(&format!("{both} --out parts"));
+    assert!(reported.starts_with("wrote 2 shards with 2 samples, 4 already existed"), "{reported}");
     let mut bytes = whole["tiny-000002.tar"].clone();
     bytes[700] ^= 1;
     std::fs::write(log.path("parts/tiny-000002.tar"), bytes).unwrap();
@@ -248,11 +248,11 @@ fn failures_affect_only_their_own_shards() {
         "ego_pose.json",
         "failed: nuscenes:unlisted: ",
         "sample.json",
-        "found 2 that failed",
+        "2 recordings or shards failed",
     ];
     assert_failed(&output, 1, &parts);
-    let told = String::from_utf8(output.stdout).unwrap();
-    assert!(told.starts_with("wrote 1 shards with 3 samples"), "{told}");
+    let reported = String::from_utf8(output.stdout).unwrap();
+    assert!(reported.starts_with("wrote 1 shards with 3 samples"), "{reported}");
     assert!(log.path("out/tiny-000000.tar").exists() && tree(&log.path("out/.unfinished")).is_empty());
 
     // A limit on the size of files, which only the shard of three frames reaches.
@@ -280,10 +280,10 @@ fn exports_are_not_mixed() {
     let again =
         |size: &str| format!("{EXPORT} --layout opendwm-preview {size}").replace("--out out", "--out again");
     let tables = log.path("log/v1.0-mini/calibrated_sensor.json");
-    let kept = std::fs::read(&tables).unwrap();
+    let retained = std::fs::read(&tables).unwrap();
     std::fs::write(&tables, "[]").unwrap();
     assert!(!log.run(&again("--radius 50")).status.success());
-    std::fs::write(&tables, kept).unwrap();
+    std::fs::write(&tables, retained).unwrap();
     assert!(log.path("again/export.json").exists());
     log.succeed(&again("--radius 60"));
     std::fs::create_dir(log.path("thesis")).unwrap();
@@ -320,8 +320,8 @@ fn images_between_frames_are_samples() {
         data.push(new);
     }
     std::fs::write(&path, Value::from(data).to_string()).unwrap();
-    let told = log.succeed(&format!("{EXPORT} --layout pas-cache --between-images"));
-    assert!(told.contains("with 5 samples"), "{told}");
+    let reported = log.succeed(&format!("{EXPORT} --layout pas-cache --between-images"));
+    assert!(reported.contains("with 5 samples"), "{reported}");
     for token in ["betweenCAM_FRONT100000", "betweenCAM_BACK140000", "betweenCAM_FRONT300000", "d2CAM_BACK"] {
         assert!(log.path(&format!("out/proj_depth_g1.0/{token}.png")).exists(), "{token}");
     }

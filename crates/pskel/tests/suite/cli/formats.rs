@@ -8,7 +8,7 @@ use pskel_eval::protocol::SIMGEN;
 
 use crate::tiny_log::PSKEL;
 use pskel_testing::av2_log::{SIZE, TinyAv2};
-use pskel_testing::nuplan_log::{FRAMES, LOG, Made, RING, assert_says, image_file, sweep_file};
+use pskel_testing::nuplan_log::{FRAMES, LOG, NuplanLog, RING, assert_says, image_file, sweep_file};
 
 fn pskel(folder: &std::path::Path, args: &str) -> String {
     let mut command = Command::new(PSKEL);
@@ -72,7 +72,7 @@ fn a_log_is_built_and_rendered_with_images_and_without() {
 
 #[test]
 fn folders_and_sets_name_several_logs() {
-    let made = Made::new();
+    let made = NuplanLog::new();
     let folder = made.path("nuplan-v1.1/splits/mini");
     let name = |text: &str| logs::locate(&format!("{text}{}", folder.display())).unwrap();
     let expanded = |locator: &LogLocator| {
@@ -114,7 +114,7 @@ fn folders_and_sets_name_several_logs() {
 
 #[test]
 fn the_commands_run_on_eight_cameras() {
-    let made = Made::new();
+    let made = NuplanLog::new();
     std::fs::remove_file(made.blob(&image_file(RING[5], 1))).unwrap();
     let log = format!("nuplan:{}", made.database().display());
     let run = |args: &[&str]| {

@@ -5,7 +5,7 @@ use serde_json::{Value, json};
 use crate::tiny_log::RunPskel as _;
 use crate::tiny_log::{CAMERAS, FRAMES, TinyLog, assert_failed, picture, sweep};
 use pskel_testing::av2_log::TinyAv2;
-use pskel_testing::nuplan_log::{Made, RING, image_file};
+use pskel_testing::nuplan_log::{NuplanLog, RING, image_file};
 
 /// Returns the description as JSON. The exit code must be 1 if it names missing or damaged files, else 0.
 #[track_caller]
@@ -55,14 +55,14 @@ fn describes_a_log_and_its_damage() {
 /// Reports features that the map reader skipped; checks an image that serves two frames only once.
 #[test]
 fn describes_a_nuplan_log_and_its_map() {
-    let (log, made) = (TinyLog::new(), Made::new());
-    made.map_sql("UPDATE baseline_paths SET lane_fid = 99 WHERE fid = 41;");
-    std::fs::write(made.blob(&image_file(RING[0], 0)), "text").unwrap();
-    let target = format!("nuplan:{}", made.database().display());
-    let told = info(&log, &target);
+    let (log, nuplan) = (TinyLog::new(), NuplanLog::new());
+    nuplan.map_sql("UPDATE baseline_paths SET lane_fid = 99 WHERE fid = 41;");
+    std::fs::write(nuplan.blob(&image_file(RING[0], 0)), "text").unwrap();
+    let target = format!("nuplan:{}", nuplan.database().display());
+    let reported = info(&log, &target);
     let merged = "sweeps of merged LiDARs (--ring-is beam if not), in 4 sweeps read";
-    assert_eq!(told["left_out"], json!({"map: baseline paths of unknown lanes": 1, merged: 4}));
-    assert_eq!(told["damaged"].as_array().unwrap().len(), 1, "{}", told["damaged"]);
+    assert_eq!(reported["left_out"], json!({"map: baseline paths of unknown lanes": 1, merged: 4}));
+    assert_eq!(reported["damaged"].as_array().unwrap().len(), 1, "{}", reported["damaged"]);
     assert!(text(&log, &target).contains("noted      map: baseline paths of unknown lanes: 1"));
 }
 
@@ -92,7 +92,7 @@ fn describes_a_skeleton_and_files() {
 /// Paths without a format, with and without the version and scene.
 #[test]
 fn logs_are_recognized_by_their_files() {
-    let (log, nuplan, argoverse) = (TinyLog::new(), Made::new(), TinyAv2::new());
+    let (log, nuplan, argoverse) = (TinyLog::new(), NuplanLog::new(), TinyAv2::new());
     for name in ["log", "log@v1.0-mini"] {
         assert_eq!(info(&log, name), info(&log, "nuscenes:log"), "{name}");
     }

@@ -268,7 +268,7 @@ fn a_signal_leaves_no_partial_files() {
         let status = child.wait().unwrap();
         let text = said(&mut child);
         assert_eq!(status.code(), Some(code), "{text}");
-        assert!(text.contains(": nothing half-written is left"), "{text}");
+        assert!(text.contains(": partial files were removed"), "{text}");
         assert!(!log.path("out/.pskel").exists(), "{signal:?}");
         assert!(tree(&log.path("out")).keys().all(|name| !name.ends_with(".pskel-part")));
     }
@@ -280,7 +280,7 @@ fn a_second_process_reports_the_first() {
     let mut child = start_hanging(&log);
     wait_for("steps", || log.path("out/steps/000000").is_dir());
     for other in [SIMULATE, "simulate nuscenes:log --skeleton sk --out out --maps depth --steps 3 --resume"] {
-        let found = format!("no other process at work on this output, found process {}: out", child.id());
+        let found = format!("output is locked by process {}: out", child.id());
         assert_failed(&log.run(other), 1, &[&found]);
     }
     send(&child, Signal::KILL);

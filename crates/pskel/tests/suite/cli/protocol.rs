@@ -62,7 +62,7 @@ fn scenes_are_generated_scored_and_copied_into_one_data_set() {
     assert!(String::from_utf8(output.stdout).unwrap().starts_with(&text));
     // Of 16 frames after one reference, a scene of three frames has two.
     assert!(text.lines().nth(2).unwrap().starts_with("| 2hz | 2 | 4 of 32 | "), "{text}");
-    assert!(text.ends_with("\nNot the protocol: 0 of its 150 logs, 2 others.\n"), "{text}");
+    assert!(text.ends_with("\nNot comparable with the protocol: 0 of its 150 logs, 2 others.\n"), "{text}");
     let results = log.json("out/results.json");
     assert_eq!(results["logs"], json!({"defined": 150, "present": 0, "other": 2}));
     // Names in the results do not depend on where the output folder is.
@@ -97,7 +97,7 @@ fn an_interrupted_protocol_ends_with_the_same_bytes() {
     let fails = "if os.path.exists('out/2hz/tiny/index.json'): raise SystemExit(3)";
     let broken = two_scenes(&at_call(3, fails));
     let output = broken.run(VAL);
-    assert_failed(&output, 1, &["failed: nuscenes:log", "part 2hz, clip tiny-b", "found 1 that failed"]);
+    assert_failed(&output, 1, &["failed: nuscenes:log", "part 2hz, clip tiny-b", "1 recordings failed"]);
     assert!(table(&broken).lines().nth(2).unwrap().starts_with("| 2hz | 1 | 2 of 16 | "));
     denoiser(&broken, "");
     let output = broken.run(VAL);

@@ -233,8 +233,8 @@ fn cameras_without_an_image_are_rendered_and_counted() {
     // The back camera's image of frame 1 is no longer a key frame.
     log.change("sample_data", "/5/is_key_frame", json!(false));
     let summary = log.succeed(RENDER);
-    let told = "6 camera views (images missing, drawn from the frame's own pose: 1 of CAM_BACK)";
-    assert!(summary.contains(told), "{summary}");
+    let reported = "6 camera views (missing images, rendered from the frame's pose: 1 of CAM_BACK)";
+    assert!(summary.contains(reported), "{summary}");
     assert_eq!(log.json("out/index.json")["frames"][1]["cameras"], json!(CAMERAS));
     let meta = log.json("out/000001/meta.json");
     assert_eq!(meta["cameras"][1]["global_from_ego"], meta["cameras"][0]["global_from_ego"]);

@@ -81,7 +81,7 @@ fn actors_of_several_skeletons_become_a_library() {
     two_skeletons(&log);
     let summary = log.succeed("templates sk1 sk2 --out out/t");
     assert!(summary.starts_with("made 2 templates from 2 logs: sedan ("), "{summary}");
-    assert!(summary.contains("left out 1 actors without points"), "{summary}");
+    assert!(summary.contains("skipped 1 actors without points"), "{summary}");
     let mut files: Vec<String> = tree(&log.path("out/t")).into_keys().collect();
     files.sort();
     assert_eq!(files, ["bus.png", "sedan.png", "templates.json", "templates.points"]);
@@ -108,11 +108,11 @@ fn actors_of_several_skeletons_become_a_library() {
         assert!(log.run_with("templates sk1 sk2 --out out/t", threads).status.success());
         assert!(first == tree(&log.path("out/t")), "{threads} threads");
     }
-    let told: serde_json::Value = {
+    let reported: serde_json::Value = {
         let output = log.run("info --json out/t");
         serde_json::from_slice(&output.stdout).unwrap()
     };
-    assert_eq!((&told["kind"], &told["report"]["notes"]), (&json!("templates"), &notes));
+    assert_eq!((&reported["kind"], &reported["report"]["notes"]), (&json!("templates"), &notes));
     let text = String::from_utf8(log.run("info out/t").stdout).unwrap();
     assert!(text.contains("bus: ") && text.contains("12.00 x 3.00 x 3.30 m"), "{text}");
 }
@@ -131,12 +131,8 @@ fn template_errors_leave_no_output() {
     let log = TinyLog::new();
     two_skeletons(&log);
     write_skeleton(&log.path("none"), "none", Vec::new());
-    log.fail("templates none --out out/t", 1, &["actors with points enough for a template, found no actors"]);
-    log.fail(
-        "templates sk2 --out out/t",
-        1,
-        &["found left out 1 actors without points", "1 truck templates"],
-    );
+    log.fail("templates none --out out/t", 1, &["actors with enough points for a template, found no actors"]);
+    log.fail("templates sk2 --out out/t", 1, &["found skipped 1 actors without points", "1 truck templates"]);
     log.fail("templates --out out/t", 2, &["LOG|SKELETON"]);
     log.fail("templates nowhere --out out/t", 2, &["the folder of a skeleton", "FORMAT:PATH", "nowhere"]);
     log.fail("templates nuscenes:nowhere --out out/t", 1, &["nowhere"]);
@@ -242,11 +238,11 @@ fn degraded_assets_are_reproducible_and_listed_in_the_index() {
         assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
         (tree(&log.path("out")), log.json("out/index.json")["options"]["augment"].clone())
     };
-    let (clean, told) = run("", "2");
-    assert_eq!(told, json!(null));
-    let (worse, told) = run("--augment=3,share=1", "2");
-    assert_eq!((&told["seed"], &told["share"]), (&json!(3), &json!(1.0)));
-    let car = &told["assets"]["car"];
+    let (clean, reported) = run("", "2");
+    assert_eq!(reported, json!(null));
+    let (worse, reported) = run("--augment=3,share=1", "2");
+    assert_eq!((&reported["seed"], &reported["share"]), (&json!(3), &json!(1.0)));
+    let car = &reported["assets"]["car"];
     assert!(["thinned", "one_view"].contains(&car["kind"].as_str().unwrap()), "{car}");
     let before = Skeleton::open(&log.path("sk")).unwrap().manifest.actors[0].points as u64;
     let after = car["points"].as_u64().unwrap();
@@ -254,15 +250,15 @@ fn degraded_assets_are_reproducible_and_listed_in_the_index() {
     let color = "000000/CAM_FRONT/color.png";
     assert!(worse[color] != clean[color]);
     assert!(worse == run("--augment=3,share=1", "1").0);
-    let (none, told) = run("--augment=share=0", "2");
-    assert_eq!((&told["seed"], &told["assets"]["car"]["kind"]), (&json!(0), &json!("none")));
+    let (none, reported) = run("--augment=share=0", "2");
+    assert_eq!((&reported["seed"], &reported["assets"]["car"]["kind"]), (&json!(0), &json!("none")));
     assert!(none[color] == clean[color]);
     // With its own points in depth, class and instance maps, too, or in color alone.
     let own = "--min-actor-points 0 --splat 100:0";
     let clean = run(own, "2").0;
     let worse = run(&format!("{own} --augment=3,share=1"), "2").0;
-    let (only, told) = run(&format!("{own} --augment=3,share=1,color_only"), "2");
-    assert_eq!(told["color_only"], json!(true));
+    let (only, reported) = run(&format!("{own} --augment=3,share=1,color_only"), "2");
+    assert_eq!(reported["color_only"], json!(true));
     let depth = "000000/CAM_FRONT/depth.png";
     assert!(worse[color] != clean[color] && worse[depth] != clean[depth]);
     for (name, bytes) in only.iter().filter(|(name, _)| name.contains("/CAM_") && name.ends_with(".png")) {

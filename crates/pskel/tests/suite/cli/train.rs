@@ -46,8 +46,8 @@ fn trains_generates_evaluates_and_ablates() {
     let folder = tempfile::tempdir().unwrap();
     let folder = folder.path();
     std::fs::write(folder.join("net.json"), CONFIG).unwrap();
-    let told = succeed(folder, &train("trained"));
-    assert!(told.contains("2 drives of 10 frames") && told.contains("trained 6 steps"), "{told}");
+    let reported = succeed(folder, &train("trained"));
+    assert!(reported.contains("2 drives of 10 frames") && reported.contains("trained 6 steps"), "{reported}");
     let trained = tree(&folder.join("trained"));
     let names = ["checkpoint.safetensors", "loss.csv", "loss.svg", "weights.safetensors"];
     assert_eq!(trained.keys().collect::<Vec<_>>(), names);
@@ -57,8 +57,8 @@ fn trains_generates_evaluates_and_ablates() {
     let maps = "--skeleton sk --size 32x64 --maps color,class,instance --generator \
         network:trained/weights.safetensors";
     succeed(folder, &format!("generate {TOWN} {maps} --out images"));
-    let told = succeed(folder, "evaluate images --out scores.json");
-    assert!(told.contains("scored 24 images of 1 rollout"), "{told}");
+    let reported = succeed(folder, "evaluate images --out scores.json");
+    assert!(reported.contains("scored 24 images of 1 rollout"), "{reported}");
     let scores = &json(&folder.join("scores.json"))["rollouts"][0]["scores"];
     assert_eq!((&scores["steps"], &scores["steps_with_truth"]), (&Value::from(4), &Value::from(4)));
     assert!(scores["psnr_db"]["mean"].as_f64() > Some(8.0), "{}", scores["psnr_db"]["mean"]);
@@ -78,8 +78,8 @@ fn goes_on(folder: &Path, whole: &BTreeMap<String, Vec<u8>>) {
     }
     let _ = child.kill(); // it may have ended already
     child.wait().unwrap();
-    let told = succeed(folder, &format!("{} --resume", train("killed")));
-    assert!(told.contains("trained 6 steps"), "{told}");
+    let reported = succeed(folder, &format!("{} --resume", train("killed")));
+    assert!(reported.contains("trained 6 steps"), "{reported}");
     assert!(tree(&folder.join("killed")) == *whole);
     let other = format!("{} --resume --seed 2", train("killed"));
     let output = command(folder, &other).output().unwrap();
@@ -98,9 +98,9 @@ fn goes_on(folder: &Path, whole: &BTreeMap<String, Vec<u8>>) {
 fn recorded(folder: &Path) {
     succeed(folder, "town seed=6,frames=6,size=57x100 --out log");
     let mixed = train("mixed").replace(TOWN, &format!("nuscenes:log {TOWN} --weights 3,1 --hold-out 2"));
-    let told = succeed(folder, &mixed);
+    let reported = succeed(folder, &mixed);
     // Two clips of three frames of each.
-    assert!(told.contains("4 drives of 12 frames") && told.contains("trained 6 steps"), "{told}");
+    assert!(reported.contains("4 drives of 12 frames") && reported.contains("trained 6 steps"), "{reported}");
     let bytes = std::fs::read(folder.join("mixed/weights.safetensors")).unwrap();
     let header = String::from_utf8_lossy(&bytes[8..1 << 12]);
     assert!(header.contains("--weights 3,1 --hold-out 2"), "{header}");
@@ -122,8 +122,8 @@ fn recorded(folder: &Path) {
 
 /// Evaluates the shipped network in a town that it was not trained on.
 fn shipped(folder: &Path) {
-    let told = succeed(folder, &format!("generate {TOWN} --skeleton sk --maps color --out shipped"));
-    assert!(told.contains("2 frames generated"), "{told}");
+    let reported = succeed(folder, &format!("generate {TOWN} --skeleton sk --maps color --out shipped"));
+    assert!(reported.contains("2 frames generated"), "{reported}");
     succeed(folder, "evaluate shipped --out shipped.json");
     let scores = &json(&folder.join("shipped.json"))["rollouts"][0]["scores"];
     assert!(scores["psnr_db"]["mean"].as_f64() > Some(20.0), "{}", scores["psnr_db"]["mean"]);
@@ -158,11 +158,11 @@ fn compared(folder: &Path) {
     let few = format!(
         "protocol ablation {TOWN} --skeletons sks --generator network:{weights} --steps 4 --out table"
     );
-    let told = succeed(folder, &few);
-    assert!(told.contains("10 variants in 1 scenes") && !told.contains("seed 1"), "{told}");
+    let reported = succeed(folder, &few);
+    assert!(reported.contains("10 variants in 1 scenes") && !reported.contains("seed 1"), "{reported}");
     let ablate = format!("{few} --plain-weights {weights} --other-seed {weights}");
-    let told = succeed(folder, &ablate);
-    assert!(told.contains("12 variants in 1 scenes"), "{told}");
+    let reported = succeed(folder, &ablate);
+    assert!(reported.contains("12 variants in 1 scenes"), "{reported}");
     let all = tree(&folder.join("table"));
     let text = String::from_utf8(all["table.md"].clone()).unwrap();
     for part in
@@ -177,14 +177,14 @@ fn compared(folder: &Path) {
     let scene = "town-5-5f-";
     let lost = all.keys().find(|name| name.starts_with(scene) && name.ends_with("/rolling.json")).unwrap();
     std::fs::remove_file(folder.join("table").join(lost)).unwrap();
-    let kept = folder.join("table").join(lost.replace("rolling", "causal"));
-    let written = || std::fs::metadata(&kept).unwrap().modified().unwrap();
+    let retained = folder.join("table").join(lost.replace("rolling", "causal"));
+    let written = || std::fs::metadata(&retained).unwrap().modified().unwrap();
     let before = written();
     succeed(folder, &ablate);
     assert_eq!(written(), before, "what is there is not made again");
     assert!(tree(&folder.join("table")) == all);
     // In a recorded log the ego follows the log, where images of it are known.
-    let told = succeed(
+    let reported = succeed(
         folder,
         &format!(
             "protocol ablation nuscenes:log --skeletons sks --generator network:{weights} --parts forecasts \
@@ -192,20 +192,20 @@ fn compared(folder: &Path) {
         ),
     );
     assert!(
-        told.contains("4 variants in 1 scenes") && told.contains("| rolling, static forecasts |"),
-        "{told}"
+        reported.contains("4 variants in 1 scenes") && reported.contains("| rolling, static forecasts |"),
+        "{reported}"
     );
     let result =
         tree(&folder.join("recorded")).into_keys().find(|name| name.ends_with("/rolling.json")).unwrap();
     let result = json(&folder.join("recorded").join(result));
     assert!(result["numbers"]["psnr_db"].as_f64() > Some(5.0), "{result}");
     let seeds = ablate.replace("--plain-weights trained/weights.safetensors", "--parts seeds");
-    let told = succeed(folder, &seeds);
+    let reported = succeed(folder, &seeds);
     assert!(
-        told.contains("2 variants in 1 scenes") && told.contains("| seed 1, difference | 0.00 |"),
-        "{told}"
+        reported.contains("2 variants in 1 scenes") && reported.contains("| seed 1, difference | 0.00 |"),
+        "{reported}"
     );
-    assert!(!told.contains("layout"), "{told}");
+    assert!(!reported.contains("layout"), "{reported}");
     let neither = seeds.replace("--parts seeds", "--parts strategies");
     let output = command(folder, &neither).output().unwrap();
     assert_failed(&output, 2, &["expected --other-seed and part seeds together, found the weights alone"]);

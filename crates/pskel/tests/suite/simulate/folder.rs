@@ -53,7 +53,10 @@ fn rejects_fewer_steps_than_exist() {
     refused(&log, &args("--steps 5 --resume"), &parts);
     refused(&log, &args("--steps 5 --resume-from 6"), &["6 steps or more", "found 5"]);
     let summary = log.succeed(&args("--steps 8 --resume"));
-    assert!(summary.contains("no step was left to take") && !summary.contains("steps a second"), "{summary}");
+    assert!(
+        summary.contains("no steps left to simulate") && !summary.contains("steps a second"),
+        "{summary}"
+    );
     assert!(summary.starts_with("simulated 8 steps, "), "{summary}");
     // An earlier step may become the last.
     log.succeed(&args("--steps 5 --resume-from 5"));
@@ -85,8 +88,8 @@ fn maps_and_rollouts_do_not_share_a_folder() {
 fn the_result_of_a_rollout_is_reported() {
     let log = built();
     let summary = log.succeed(&format!("{SIMULATE} --maps depth --steps 8"));
-    let results =
-        ": 0 collisions; comfortable; at most 0.00 m and 0.0 degrees off the recorded path; a step takes";
+    let results = ": 0 collisions; comfortable; \
+        deviation from the recorded path at most 0.00 m and 0.0 degrees; a step takes";
     assert!(summary.contains(results) && !summary.contains("beyond"), "{summary}");
     assert_eq!(log.json("out/metrics.json")["steps_beyond_log"], 0);
     // The log has 12 steps.

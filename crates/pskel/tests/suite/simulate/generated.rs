@@ -120,8 +120,8 @@ fn generated_images_are_written_back_into_the_data_set() {
     let log = built();
     denoiser(&log, "");
     let output = log.run(&format!("{GENERATE} --window 2 --dataset copy"));
-    let told = String::from_utf8(output.stdout).unwrap();
-    assert!(told.lines().last().unwrap().starts_with("4 images replaced, 2 kept: copy"), "{told}");
+    let reported = String::from_utf8(output.stdout).unwrap();
+    assert!(reported.lines().last().unwrap().starts_with("4 images replaced, 2 kept: copy"), "{reported}");
     let (before, after) = (tree(&log.path("log")), tree(&log.path("copy")));
     assert_eq!(before.keys().collect::<Vec<_>>(), after.keys().collect::<Vec<_>>());
     for (name, bytes) in &before {

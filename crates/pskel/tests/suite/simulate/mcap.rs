@@ -169,13 +169,13 @@ fn the_file_contains_the_whole_rollout() {
     // Without a folder there are the same poses and boxes, and no images.
     log.succeed(&format!("{simulate} --dry --mcap dry.mcap"));
     let dry = McapFile::of(&log, "dry.mcap");
-    let kept: BTreeMap<_, _> = read
+    let retained: BTreeMap<_, _> = read
         .topics
         .iter()
         .filter(|(topic, _)| !maps.iter().any(|map| topic.ends_with(&format!("/{map}"))))
         .map(|(topic, messages)| (topic.clone(), messages.clone()))
         .collect();
-    assert!(dry.topics == kept && dry.metadata == read.metadata);
+    assert!(dry.topics == retained && dry.metadata == read.metadata);
     // Maps that are no PNG files are not in the file.
     let output = log.run(&format!("{simulate} --format npz --maps color --mcap npz.mcap"));
     assert!(output.status.success());

@@ -344,8 +344,8 @@ fn logs_without_boxes_or_with_a_gap_are_simulated_and_noted() {
     assert!(summary.starts_with("simulated 48 steps of 100 (the log ended)"), "{summary}");
     assert!(summary.contains("; 1 x gaps of more than 1 s between frames"), "{summary}");
     assert_page_is_whole(&log, "out", 49);
-    let told = page(&log, "out");
-    let notes = told["metrics"].as_array().unwrap();
+    let reported = page(&log, "out");
+    let notes = reported["metrics"].as_array().unwrap();
     assert!(notes.contains(&json!(["note: gaps of more than 1 s between frames", "1"])), "{notes:?}");
 
     let log = TinyLog::new();

@@ -12,7 +12,7 @@ use super::guarded::{Ended, listing, run};
 use crate::tiny_log::RunPskel as _;
 use crate::tiny_log::TinyLog;
 use pskel_testing::av2_log::{LOG_ID, TinyAv2, picture, sweep};
-use pskel_testing::nuplan_log::{LOG, Made, RING, image_file, sweep_file};
+use pskel_testing::nuplan_log::{LOG, NuplanLog, RING, image_file, sweep_file};
 
 /// Kinds of objects in place of a file, with the error message for each.
 const KINDS: [(&str, &str); 5] = [
@@ -141,8 +141,8 @@ fn nuscenes_sensor_files_must_be_regular() {
         for (kind, message) in KINDS {
             let whole = std::fs::read(log.path(file)).unwrap();
             put(kind, &log.path(file));
-            let told = damaged(&log.path(""), "nuscenes:log");
-            assert!(told.contains(message) && told.contains(file), "{told}");
+            let reported = damaged(&log.path(""), "nuscenes:log");
+            assert!(reported.contains(message) && reported.contains(file), "{reported}");
             put("fifo", &log.path(file));
             std::fs::remove_file(log.path(file)).unwrap();
             std::fs::write(log.path(file), whole).unwrap();
@@ -168,11 +168,11 @@ fn nuscenes_tables_must_be_regular_files() {
 
 #[test]
 fn nuplan_files_must_be_regular() {
-    let made = Made::new();
-    let (folder, log) = (made.path(""), format!("nuplan:nuplan-v1.1/splits/mini/{LOG}.db"));
+    let nuplan = NuplanLog::new();
+    let (folder, log) = (nuplan.path(""), format!("nuplan:nuplan-v1.1/splits/mini/{LOG}.db"));
     let commands = [format!("info {log}"), format!("build {log} --out new --missing error")];
     let commands = commands.each_ref().map(String::as_str);
-    for file in [made.blob(&sweep_file(0)), made.blob(&image_file(RING[0], 0))] {
+    for file in [nuplan.blob(&sweep_file(0)), nuplan.blob(&image_file(RING[0], 0))] {
         refuse_all_kinds(&folder, &file, &commands[1..]);
         let whole = std::fs::read(&file).unwrap();
         put("fifo", &file);
@@ -182,8 +182,8 @@ fn nuplan_files_must_be_regular() {
     }
     // A folder in its place is read as a folder of logs.
     let kinds = KINDS.into_iter().filter(|(kind, _)| *kind != "folder").collect::<Vec<_>>();
-    refuse_kinds(&kinds, &folder, &made.database(), &commands);
-    for file in [made.map(), made.path("maps/nuplan-maps-v1.0.json")] {
+    refuse_kinds(&kinds, &folder, &nuplan.database(), &commands);
+    for file in [nuplan.map(), nuplan.path("maps/nuplan-maps-v1.0.json")] {
         let whole = std::fs::read(&file).unwrap();
         put("fifo", &file);
         assert!(damaged(&folder, &log).contains("expected a regular file, found a FIFO"));
@@ -191,7 +191,7 @@ fn nuplan_files_must_be_regular() {
         std::fs::write(&file, whole).unwrap();
     }
     for name in ["../../x.pcd", "/dev/zero", "/etc/passwd", "a/../b", ""] {
-        made.sql(&format!("UPDATE lidar_pc SET filename = '{name}'"));
+        nuplan.sql(&format!("UPDATE lidar_pc SET filename = '{name}'"));
         run(&folder, &["info", &log]).refused(name, &["as filename of lidar_pc", LOG]);
     }
 }

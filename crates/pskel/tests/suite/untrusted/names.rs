@@ -7,7 +7,7 @@ use serde_json::json;
 use super::guarded::{Ended, listing, run};
 use crate::tiny_log::TinyLog;
 use pskel_testing::av2_log::{LOG_ID, TinyAv2, set, texts};
-use pskel_testing::nuplan_log::{LOG, Made};
+use pskel_testing::nuplan_log::{LOG, NuplanLog};
 
 /// Camera names that are refused; `OUTSIDE` is replaced by a folder beside the data set. The output is five
 /// levels below the folder that is checked for changes.
@@ -122,8 +122,8 @@ fn nuscenes_channels_must_be_folder_names() {
 
 #[test]
 fn nuplan_channels_must_be_folder_names() {
-    let made = Made::new();
-    let folder = made.path("");
+    let nuplan = NuplanLog::new();
+    let folder = nuplan.path("");
     let log = format!("nuplan:nuplan-v1.1/splits/mini/{LOG}.db");
     build(&folder, &log);
     make_room(&folder);
@@ -132,7 +132,7 @@ fn nuplan_channels_must_be_folder_names() {
             let hex: String = text.bytes().map(|byte| format!("{byte:02x}")).collect();
             format!("CAST(x'{hex}' AS TEXT)")
         };
-        made.sql(&format!("UPDATE camera SET channel = {} WHERE channel = {}", text(to), text(from)));
+        nuplan.sql(&format!("UPDATE camera SET channel = {} WHERE channel = {}", text(to), text(from)));
     };
     let mut last = "CAM_L0".to_owned();
     for name in bad(&folder) {

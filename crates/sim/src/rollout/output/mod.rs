@@ -45,26 +45,26 @@ pub(super) struct Output<'a> {
 
 impl Output<'_> {
     /// Prepares the folder: removes an earlier rollout, or its steps after the retained ones.
-    pub(super) fn begin(&self, files: &OutputFolder, kept: &[StepRow]) -> Result<StateFile, FileError> {
+    pub(super) fn begin(&self, files: &OutputFolder, retained: &[StepRow]) -> Result<StateFile, FileError> {
         let marker = self.folder.join(ROLLOUT);
-        if !kept.is_empty() {
+        if !retained.is_empty() {
             self.check_same(&marker)?;
         }
         files.check([ROLLOUT, STATES, STEPS])?;
         // The index goes first: a folder with an index is complete.
         files.remove([INDEX, PAGE, VIDEO, METRICS])?;
-        if kept.is_empty() {
+        if retained.is_empty() {
             files.remove([STATES, STEPS])?;
         }
         write_json(&files.claim(ROLLOUT)?, self.record)?;
-        let states = StateFile::create(&files.claim(STATES)?, kept)?;
+        let states = StateFile::create(&files.claim(STATES)?, retained)?;
         let steps = self.folder.join(STEPS);
         if !steps.is_dir() {
             return Ok(states);
         }
         for entry in std::fs::read_dir(&steps).map_err(FileError::io("read", &steps))? {
             let name = entry.map_err(FileError::io("read", &steps))?.file_name();
-            if !kept.iter().any(|row| *row.name() == *name) {
+            if !retained.iter().any(|row| *row.name() == *name) {
                 files.remove([Path::new(STEPS).join(name)])?;
             }
         }

@@ -8,7 +8,7 @@ use rayon::prelude::*;
 
 use super::Output;
 use super::files::step_folder;
-use crate::report::{Phase, StepRow, Video, VideoError, film};
+use crate::report::{Phase, StepRow, Video, VideoError, video_frame};
 use crate::rollout::error::RolloutError;
 use crate::rollout::report::RolloutReport;
 
@@ -28,7 +28,7 @@ pub(in super::super) fn write(
     let compose = |sender: SyncSender<Vec<Picture>>| {
         let picture = |row: &StepRow| {
             let folder = step_folder(output.folder, &row.name());
-            film::picture(&folder, &report.layout.maps, &caption(output, row))
+            video_frame::compose(&folder, &report.layout.maps, &caption(output, row))
         };
         for rows in report.rows.chunks(rayon::current_num_threads().clamp(1, MAX_PICTURES)) {
             let pictures = rows.par_iter().map(picture).collect::<Result<Vec<_>, FileError>>()?;

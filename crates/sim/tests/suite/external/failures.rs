@@ -7,7 +7,7 @@ use std::time::Instant;
 
 use point_skeleton::dataset::Recording;
 use pskel_sim::{PlannerAddress, PlannerError, SimError, SimOptions, Simulation};
-use pskel_testing::shared::assert_tells;
+use pskel_testing::shared::assert_error_contains;
 use pskel_testing::winding_road;
 
 use super::{HELLO, Server, command, options, script};
@@ -59,7 +59,7 @@ fn unsolicited_lines_are_an_error() {
             }
         };
         assert!(error.contains("found \"model loaded\""), "{error}");
-        error.contains("expected no line that was not asked for")
+        error.contains("expected no unsolicited line")
     };
     assert!((0..50).any(unasked));
 }
@@ -123,7 +123,7 @@ fn bad_answers_end_the_rollout_with_the_reason() {
         let address = answers(folder.path(), &answer);
         let error = fails(&log, options(address.clone(), 20.0));
         assert!(matches!(error, PlannerError::Answer { .. }), "{error}");
-        assert_tells(&error, part, &address);
+        assert_error_contains(&error, part, &address);
     }
 }
 

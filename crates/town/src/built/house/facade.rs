@@ -59,11 +59,11 @@ pub(super) fn street(mesh: &mut Mesh, wall: &Wall, house: &mut House, front: boo
 pub(super) fn yard(mesh: &mut Mesh, wall: &Wall, house: &mut House) {
     blank(mesh, wall, house);
     let bays = ((wall.length - 1.0) / (1.5 * house.bay_m)).floor() as usize;
-    let kept: Vec<bool> = (0..bays).map(|_| house.draw.chance(0.8)).collect();
+    let retained: Vec<bool> = (0..bays).map(|_| house.draw.chance(0.8)).collect();
     for floor in 0..house.floors {
         let low = if floor == 0 { 0.0 } else { house.ground_m + (floor - 1) as f64 * house.floor_m };
-        for (bay, kept) in kept.iter().enumerate() {
-            if *kept {
+        for (bay, retained) in retained.iter().enumerate() {
+            if *retained {
                 let middle = wall.length * (bay as f64 + 0.5) / bays as f64;
                 let u = [middle - house.window[0] / 2.0, middle + house.window[0] / 2.0];
                 let v = [low + house.sill_m, low + house.sill_m + house.window[1].min(1.5)];

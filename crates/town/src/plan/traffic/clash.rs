@@ -21,12 +21,13 @@ const BEYOND_M: f64 = 8.0;
 /// meters.
 pub(super) fn tables(
     paths: &[Polyline],
-    ways: &[Option<JunctionPath>],
+    connectors: &[Option<JunctionPath>],
 ) -> [FxHashMap<(usize, usize), f64>; 2] {
     [CAR_M, LONG_M].map(|size| {
-        let swept: Vec<Vec<Footprint>> = (0..paths.len()).map(|i| swept(paths, ways, i, size)).collect();
+        let swept: Vec<Vec<Footprint>> =
+            (0..paths.len()).map(|i| swept(paths, connectors, i, size)).collect();
         let mut table = FxHashMap::default();
-        let junction = |i: usize| ways[i].map(|way| way.junction);
+        let junction = |i: usize| connectors[i].map(|connector| connector.junction);
         for a in 0..paths.len() {
             for b in (a + 1..paths.len()).filter(|b| junction(a).is_some() && junction(a) == junction(*b)) {
                 if let Some([last_a, last_b]) = last_touch(&swept[a], &swept[b]) {
@@ -45,12 +46,12 @@ pub(super) fn tables(
 /// Returns the boxes of a vehicle every [`STEP_M`] along its path; empty for lanes of roads.
 fn swept(
     paths: &[Polyline],
-    ways: &[Option<JunctionPath>],
+    connectors: &[Option<JunctionPath>],
     index: usize,
     [length, width, base]: [f64; 3],
 ) -> Vec<Footprint> {
-    let Some(way) = ways[index] else { return Vec::new() };
-    let (before, after) = (&paths[way.from], &paths[way.to]);
+    let Some(connector) = connectors[index] else { return Vec::new() };
+    let (before, after) = (&paths[connector.from], &paths[connector.to]);
     let lead_m = 2.0 * BEYOND_M;
     let mut points = before.part(before.length_m() - lead_m, before.length_m());
     points.extend(paths[index].points());

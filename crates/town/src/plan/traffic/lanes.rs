@@ -17,32 +17,32 @@ pub(super) struct Lanes<'a> {
     /// Centerline of each lane.
     pub(super) paths: Vec<Polyline>,
     /// Data of each path through a junction; `None` for lanes of roads.
-    pub(super) ways: Vec<Option<JunctionPath>>,
+    pub(super) connectors: Vec<Option<JunctionPath>>,
     clear_m: [FxHashMap<(usize, usize), f64>; 2],
 }
 
 impl<'a> Lanes<'a> {
     pub(super) fn new(network: &'a Network) -> Self {
         let paths: Vec<Polyline> = network.lanes.iter().map(|lane| polyline(&lane.centerline)).collect();
-        let mut ways = vec![None; paths.len()];
+        let mut connectors = vec![None; paths.len()];
         for (from, lane) in network.lanes.iter().enumerate() {
             let LaneKind::Road(road) = lane.kind else { continue };
-            for way in &lane.successors {
-                ways[*way] = Self::way(network, &paths, [from, *way], road);
+            for connector in &lane.successors {
+                connectors[*connector] = Self::connector(network, &paths, [from, *connector], road);
             }
         }
-        let clear_m = clash::tables(&paths, &ways);
-        Self { network, paths, ways, clear_m }
+        let clear_m = clash::tables(&paths, &connectors);
+        Self { network, paths, connectors, clear_m }
     }
 
-    fn way(
+    fn connector(
         network: &Network,
         paths: &[Polyline],
-        [from, way]: [usize; 2],
+        [from, connector]: [usize; 2],
         road: usize,
     ) -> Option<JunctionPath> {
-        let LaneKind::Junction(junction) = network.lanes[way].kind else { return None };
-        let to = *network.lanes[way].successors.first()?;
+        let LaneKind::Junction(junction) = network.lanes[connector].kind else { return None };
+        let to = *network.lanes[connector].successors.first()?;
         let LaneKind::Road(next) = network.lanes[to].kind else { return None };
         let kind = network.junctions[junction].kind;
         let crossing = |road: usize| {
@@ -50,7 +50,7 @@ impl<'a> Lanes<'a> {
             let near = |path: [glam::DVec2; 2]| ((path[0] + path[1]) / 2.0 - mouth).dot(along).abs() < 10.0;
             network.crossings.iter().position(|c| c.road == road && near(c.path))
         };
-        let turn = Turn::of(paths[way].points());
+        let turn = Turn::of(paths[connector].points());
         Some(JunctionPath {
             junction,
             kind,
@@ -75,10 +75,10 @@ impl<'a> Lanes<'a> {
     /// Returns whether the route can continue for a number of junctions beyond a lane.
     pub(super) fn is_open(&self, lane: usize, junctions: usize) -> bool {
         let next = &self.network.lanes[lane].successors;
-        match self.ways[lane] {
-            Some(way) => self.is_open(way.to, junctions),
+        match self.connectors[lane] {
+            Some(connector) => self.is_open(connector.to, junctions),
             None if junctions == 0 => !next.is_empty(),
-            None => next.iter().any(|way| self.is_open(*way, junctions - 1)),
+            None => next.iter().any(|connector| self.is_open(*connector, junctions - 1)),
         }
     }
 }

@@ -139,12 +139,12 @@ impl People<'_> {
 
 /// Drops walkers that start on top of earlier ones.
 fn apart(walkers: Vec<Walker>) -> Vec<Walker> {
-    let mut kept: Vec<Walker> = Vec::new();
+    let mut retained: Vec<Walker> = Vec::new();
     for walker in walkers {
         let rect = walker.rect_at(walker.along_m).grown(0.3);
-        if kept.iter().all(|other| !rect.overlaps(&other.rect_at(other.along_m))) {
-            kept.push(walker);
+        if retained.iter().all(|other| !rect.overlaps(&other.rect_at(other.along_m))) {
+            retained.push(walker);
         }
     }
-    kept
+    retained
 }

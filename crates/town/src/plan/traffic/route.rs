@@ -54,9 +54,9 @@ impl Route {
         // A route that turns off does so at the first junction.
         let mut straight = wish.turn_within.unwrap_or(0);
         while left_m > 0.0 {
-            let ways = &lanes.network.lanes[last].successors;
-            let turn_of = |i: usize| lanes.ways[i].map_or(Turn::Straight, |w| w.turn);
-            let mut choices: Vec<usize> = ways.clone();
+            let connectors = &lanes.network.lanes[last].successors;
+            let turn_of = |i: usize| lanes.connectors[i].map_or(Turn::Straight, |w| w.turn);
+            let mut choices: Vec<usize> = connectors.clone();
             let mut prefer = |keep: &dyn Fn(usize) -> bool| {
                 if choices.iter().any(|i| keep(*i)) {
                     choices.retain(|i| keep(*i));
@@ -79,7 +79,7 @@ impl Route {
             let weighted: Vec<(usize, f64)> = choices.iter().map(|i| (*i, weight(*i))).collect();
             let Some(next) = random.weighted(&weighted) else { break };
             straight = if turn_of(next) == Turn::Straight { straight + 1 } else { 0 };
-            let Some(after) = lanes.ways[next].map(|w| w.to) else { break };
+            let Some(after) = lanes.connectors[next].map(|w| w.to) else { break };
             taken.extend([next, after]);
             left_m -= lanes.length_m(next) + lanes.length_m(after);
             last = after;

@@ -84,12 +84,14 @@ impl Start<'_> {
         score += if self.lanes.is_open(lane, 2) { 3.0 } else { 0.0 };
         score += ((left_m - 50.0) / 25.0).clamp(-1.0, 1.0);
         let turns = self.lanes.network.lanes[lane].successors.iter();
-        let turns = turns.filter_map(|way| self.lanes.ways[*way]).any(|way| way.turn != Turn::Straight);
+        let turns = turns
+            .filter_map(|connector| self.lanes.connectors[*connector])
+            .any(|connector| connector.turn != Turn::Straight);
         score += if turns && self.is_long_drive() { 3.0 } else { 0.0 };
-        let way = self.lanes.ways[*self.lanes.network.lanes[lane].successors.first()?]?;
+        let connector = self.lanes.connectors[*self.lanes.network.lanes[lane].successors.first()?]?;
         let arrives_s = (left_m - 10.0) / EGO_MPS;
         let is_green = |after_s: f64| {
-            let light = self.lanes.network.signal_at(way.junction, way.road, arrives_s + after_s);
+            let light = self.lanes.network.signal_at(connector.junction, connector.road, arrives_s + after_s);
             light.is_none_or(|light| light == Signal::Green)
         };
         score += if [-4.0, -2.0, 2.0].into_iter().all(is_green) { 2.0 } else { 0.0 };
@@ -145,7 +147,7 @@ impl Start<'_> {
         for lane in 0..self.lanes.paths.len() {
             let path = &self.lanes.paths[lane];
             let near = |p: &DVec2| drive.iter().any(|q| p.distance(*q) < NEAR_M);
-            let closed = self.lanes.ways[lane].is_some() || !self.lanes.is_open(lane, 2);
+            let closed = self.lanes.connectors[lane].is_some() || !self.lanes.is_open(lane, 2);
             if closed || !path.points().iter().step_by(20).any(near) {
                 continue;
             }

@@ -251,8 +251,8 @@ fn vehicles_obey_lights_and_stop_signs() {
     for Case { seed, network, traffic, .. } in cases() {
         for (line, lane) in &network.stop_lines {
             let LaneKind::Road(road) = network.lanes[*lane].kind else { panic!("{lane}") };
-            let way = network.lanes[network.lanes[*lane].successors[0]].kind;
-            let LaneKind::Junction(junction) = way else { panic!("{lane}") };
+            let connector = network.lanes[network.lanes[*lane].successors[0]].kind;
+            let LaneKind::Junction(junction) = connector else { panic!("{lane}") };
             let (middle, along) = ((line[0] + line[1]) / 2.0, (line[1] - line[0]).perp().normalize());
             let line = &network.lanes[*lane].centerline;
             let ahead = (line[line.len() - 1] - line[line.len() - 2]).normalize();

@@ -81,8 +81,8 @@ impl Walker {
                 world.walkers_on[over.crossing] += 1;
             }
         }
-        let on_way = over.walks || self.along_m > over.kerbs_m[0];
-        if on_way { f64::INFINITY } else { (2.0 * STEPPING_MPS2 * left_m.max(0.0)).sqrt() }
+        let on_road = over.walks || self.along_m > over.kerbs_m[0];
+        if on_road { f64::INFINITY } else { (2.0 * STEPPING_MPS2 * left_m.max(0.0)).sqrt() }
     }
 }
 

@@ -82,16 +82,19 @@ impl<'a> World<'a> {
     }
 
     /// Returns the route index of the next path through a junction that the vehicle has not been granted.
-    fn next_way(&self, vehicle: &Vehicle) -> Option<usize> {
+    fn next_connector(&self, vehicle: &Vehicle) -> Option<usize> {
         let at = vehicle.route.lane_at(vehicle.along_m);
         let from = vehicle.granted.map_or(at, |granted| at.max(granted + 1));
-        (from..vehicle.route.lanes.len()).find(|k| self.lanes.ways[vehicle.route.lanes[*k]].is_some())
+        (from..vehicle.route.lanes.len()).find(|k| self.lanes.connectors[vehicle.route.lanes[*k]].is_some())
     }
 
     /// Returns the position where its front has to stop, meters along its route.
     fn stop_m(&self, vehicle: &Vehicle) -> f64 {
-        match self.next_way(vehicle).and_then(|k| Some((k, self.lanes.ways[vehicle.route.lanes[k]]?))) {
-            Some((k, way)) => vehicle.route.starts_m[k] - way.stop_m(),
+        match self
+            .next_connector(vehicle)
+            .and_then(|k| Some((k, self.lanes.connectors[vehicle.route.lanes[k]]?)))
+        {
+            Some((k, connector)) => vehicle.route.starts_m[k] - connector.stop_m(),
             None => vehicle.route.length_m() - STOP_M,
         }
     }
@@ -120,8 +123,9 @@ impl<'a> World<'a> {
                 }
             };
             look(lane, f64::INFINITY);
-            let Some(way) = self.lanes.ways[lane] else { continue };
-            for sibling in self.lanes.network.lanes[way.from].successors.iter().filter(|s| **s != lane) {
+            let Some(connector) = self.lanes.connectors[lane] else { continue };
+            for sibling in self.lanes.network.lanes[connector.from].successors.iter().filter(|s| **s != lane)
+            {
                 let long = me.is_long() || occupants[*sibling].iter().any(|o| self.vehicles[o.1].is_long());
                 if let Some(clear_m) = self.lanes.clear_m(*sibling, lane, long) {
                     look(*sibling, clear_m);
@@ -135,9 +139,9 @@ impl<'a> World<'a> {
     fn revoke(&mut self) {
         for vehicle in &mut self.vehicles {
             let Some(k) = vehicle.granted else { continue };
-            let Some(way) = self.lanes.ways[vehicle.route.lanes[k]] else { continue };
-            let light = self.lanes.network.signal_at(way.junction, way.road, self.t_s);
-            let left_m = vehicle.route.starts_m[k] - way.stop_m() - vehicle.front_m();
+            let Some(connector) = self.lanes.connectors[vehicle.route.lanes[k]] else { continue };
+            let light = self.lanes.network.signal_at(connector.junction, connector.road, self.t_s);
+            let left_m = vehicle.route.starts_m[k] - connector.stop_m() - vehicle.front_m();
             let halts_m = vehicle.speed_mps * (vehicle.speed_mps / (2.0 * BRAKING_MPS2) + STEP_S);
             if light.is_some_and(|light| light != Signal::Green) && left_m > halts_m + 0.1 {
                 vehicle.granted = k.checked_sub(2);
@@ -149,26 +153,26 @@ impl<'a> World<'a> {
     fn grant(&mut self, occupants: &Occupants) {
         let mut asking = Vec::new();
         for (i, vehicle) in self.vehicles.iter().enumerate() {
-            let Some(k) = self.next_way(vehicle) else { continue };
-            let Some(way) = self.lanes.ways[vehicle.route.lanes[k]] else { continue };
+            let Some(k) = self.next_connector(vehicle) else { continue };
+            let Some(connector) = self.lanes.connectors[vehicle.route.lanes[k]] else { continue };
             let v = vehicle.speed_mps;
-            let left_m = vehicle.route.starts_m[k] - way.stop_m() - vehicle.front_m();
+            let left_m = vehicle.route.starts_m[k] - connector.stop_m() - vehicle.front_m();
             if left_m < v * v / 3.0 + v * 0.6 + 3.0 {
                 let waits_s = vehicle.waits_since_s.map_or(0.0, |since| self.t_s - since);
                 let patient = waits_s < PATIENCE_S;
-                let last = patient && way.kind == JunctionKind::Signals && way.turn == Turn::Left;
-                asking.push((last, waits_s, i, k, way));
+                let last = patient && connector.kind == JunctionKind::Signals && connector.turn == Turn::Left;
+                asking.push((last, waits_s, i, k, connector));
             }
         }
         asking.sort_by(|a, b| a.0.cmp(&b.0).then(b.1.total_cmp(&a.1)).then(a.2.cmp(&b.2)));
         let mut kept_free: Vec<usize> = Vec::new();
-        for (_, waits_s, i, k, way) in asking {
+        for (_, waits_s, i, k, connector) in asking {
             let lane = self.vehicles[i].route.lanes[k];
-            let kept = kept_free.iter().any(|other| self.lanes.clear_m(*other, lane, false).is_some());
-            if kept || !self.could_enter(i, k, way, occupants) {
+            let retained = kept_free.iter().any(|other| self.lanes.clear_m(*other, lane, false).is_some());
+            if retained || !self.could_enter(i, k, connector, occupants) {
                 continue;
             }
-            if !self.is_crossed(i, lane, way) {
+            if !self.is_crossed(i, lane, connector) {
                 self.vehicles[i].granted = Some(k);
             } else if waits_s > PATIENCE_S {
                 // Keeps the junction free for a vehicle that has waited for long.
@@ -178,25 +182,25 @@ impl<'a> World<'a> {
     }
 
     /// Returns whether a vehicle may enter a junction, apart from vehicles that cross its path there.
-    fn could_enter(&self, index: usize, k: usize, way: JunctionPath, occupants: &Occupants) -> bool {
+    fn could_enter(&self, index: usize, k: usize, connector: JunctionPath, occupants: &Occupants) -> bool {
         let me = &self.vehicles[index];
-        let allowed = match way.kind {
+        let allowed = match connector.kind {
             JunctionKind::Free => true,
             JunctionKind::Stop => me.waits_since_s.is_some_and(|since| self.t_s - since > HALT_S),
             JunctionKind::Signals => {
                 // A vehicle that waits to turn left goes last, at yellow, when oncoming vehicles have to
                 // stop.
-                let last = way.turn == Turn::Left && me.waits_since_s.is_some();
-                match self.lanes.network.signal_at(way.junction, way.road, self.t_s) {
+                let last = connector.turn == Turn::Left && me.waits_since_s.is_some();
+                match self.lanes.network.signal_at(connector.junction, connector.road, self.t_s) {
                     Some(Signal::Yellow) => last,
                     light => light == Some(Signal::Green),
                 }
             }
         };
         allowed
-            && way.crossings.iter().flatten().all(|crossing| self.walkers_on[*crossing] == 0)
-            && self.is_first(index, k, way.from, occupants)
-            && self.has_room(index, way, occupants)
+            && connector.crossings.iter().flatten().all(|crossing| self.walkers_on[*crossing] == 0)
+            && self.is_first(index, k, connector.from, occupants)
+            && self.has_room(index, connector, occupants)
     }
 
     /// Returns whether no vehicle ahead on its lane is still waiting.
@@ -223,32 +227,32 @@ impl<'a> World<'a> {
         let last = vehicle.granted.unwrap_or(0);
         (at.saturating_sub(1)..=last).filter_map(move |k| {
             let lane = *vehicle.route.lanes.get(k)?;
-            let way = lanes.ways[lane]?;
+            let connector = lanes.connectors[lane]?;
             let beyond_m = vehicle.rear_m() - vehicle.route.starts_m[k + 1];
             let along_m = vehicle.along_m - vehicle.route.starts_m[k];
-            (beyond_m < BEYOND_CROSSING_M).then_some((lane, way, along_m, beyond_m))
+            (beyond_m < BEYOND_CROSSING_M).then_some((lane, connector, along_m, beyond_m))
         })
     }
 
     /// Returns whether a vehicle with a granted path may still touch one on this path.
-    fn is_crossed(&self, index: usize, lane: usize, way: JunctionPath) -> bool {
+    fn is_crossed(&self, index: usize, lane: usize, connector: JunctionPath) -> bool {
         let me = &self.vehicles[index];
         let crosses = |other: &Vehicle| {
             let long = me.is_long() || other.is_long();
-            self.held(other).filter(|held| held.1.junction == way.junction && held.1.from != way.from).any(
-                |(held, _, along_m, _)| {
+            self.held(other)
+                .filter(|held| held.1.junction == connector.junction && held.1.from != connector.from)
+                .any(|(held, _, along_m, _)| {
                     held != lane && self.lanes.clear_m(held, lane, long).is_some_and(|clear| along_m < clear)
-                },
-            )
+                })
         };
         self.vehicles.iter().enumerate().any(|(i, other)| i != index && crosses(other))
     }
 
     /// Returns whether it fits on the lane after the junction, together with all vehicles that get there
     /// before it.
-    fn has_room(&self, index: usize, way: JunctionPath, occupants: &Occupants) -> bool {
-        let mut room_m = self.lanes.length_m(way.to);
-        for (along_m, other) in occupants[way.to].iter().filter(|o| o.1 != index) {
+    fn has_room(&self, index: usize, connector: JunctionPath, occupants: &Occupants) -> bool {
+        let mut room_m = self.lanes.length_m(connector.to);
+        for (along_m, other) in occupants[connector.to].iter().filter(|o| o.1 != index) {
             let other = &self.vehicles[*other];
             // Moving vehicles will make room.
             let leaves_m = other.speed_mps * 1.2;
@@ -256,7 +260,8 @@ impl<'a> World<'a> {
         }
         let mut needed_m = BEYOND_CROSSING_M + self.vehicles[index].size_m.x + 3.0;
         for (i, other) in self.vehicles.iter().enumerate().filter(|(i, _)| *i != index) {
-            let comes = self.held(other).any(|held| held.1.to == way.to && self.place(other).0 != way.to);
+            let comes =
+                self.held(other).any(|held| held.1.to == connector.to && self.place(other).0 != connector.to);
             needed_m += if comes && i != index { other.size_m.x + 3.0 } else { 0.0 };
         }
         needed_m < room_m

@@ -13,7 +13,7 @@ use point_skeleton::geometry::{Camera, Cuboid, Pose};
 use serde::{Deserialize, Serialize};
 
 /// Minimum number of pixels in one camera for an actor to count as visible.
-pub const SEEN_PX: u32 = 30;
+pub const MIN_VISIBLE_PX: u32 = 30;
 /// Maximum time difference of logged images to compare with, microseconds.
 pub const AROUND_US: i64 = 500_000;
 /// Near plane at which boxes are clipped, meters.
@@ -32,7 +32,7 @@ pub struct VisibleActor {
 
 /// Returns, per actor of a step, the cameras whose instance maps show it; `None` if a camera has no instance
 /// map.
-pub fn seen(set: &ConditionSet, actors: usize) -> Option<Vec<Vec<VisibleActor>>> {
+pub fn visible_actors(set: &ConditionSet, actors: usize) -> Option<Vec<Vec<VisibleActor>>> {
     let mut all = vec![Vec::new(); actors];
     for (camera, maps) in set.cameras.iter().enumerate() {
         let none = VisibleActor { camera, pixels: 0, bounds: [u32::MAX, u32::MAX, 0, 0] };
@@ -53,7 +53,7 @@ pub fn seen(set: &ConditionSet, actors: usize) -> Option<Vec<Vec<VisibleActor>>>
 }
 
 /// Returns whether a camera of the log (a channel) showed a track in its images around a time (microseconds).
-pub fn was_shown(log: &Recording, track: usize, channel: usize, t_us: i64) -> bool {
+pub fn was_in_logged_images(log: &Recording, track: usize, channel: usize, t_us: i64) -> bool {
     let near = |at_us: i64| at_us.abs_diff(t_us) <= AROUND_US as u64;
     // Images are up to a frame older than the frame that they belong to.
     let first = log.frames.partition_point(|f| f.t_us < t_us.saturating_sub(AROUND_US)).saturating_sub(1);
@@ -123,10 +123,10 @@ mod tests {
         let maps =
             |instance| CameraConditions { width: 6, height: 4, instance, ..CameraConditions::default() };
         let mut set = ConditionSet { cameras: vec![maps(Some(vec![0; 24])), maps(Some(instance))] };
-        let found = seen(&set, 2).unwrap();
+        let found = visible_actors(&set, 2).unwrap();
         assert_eq!(found, [vec![], vec![VisibleActor { camera: 1, pixels: 3, bounds: [2, 1, 5, 3] }]]);
         set.cameras[0] = maps(None);
-        assert_eq!(seen(&set, 2), None);
+        assert_eq!(visible_actors(&set, 2), None);
     }
 
     /// Log of a 90-degree camera at the origin that looks along x, at 0, 1 and 2 s; a 1 m box is at `at` per
@@ -178,7 +178,7 @@ mod tests {
             (DVec3::ZERO, true),
             (beside, false),
         ] {
-            assert_eq!(was_shown(&log([place; 3]), 0, 0, 1_000_000), expected, "{place}");
+            assert_eq!(was_in_logged_images(&log([place; 3]), 0, 0, 1_000_000), expected, "{place}");
         }
         // Only the middle image shows it, so it counts up to half a second from that image.
         let log = log([beside, ahead, beside]);
@@ -190,11 +190,14 @@ mod tests {
             (1_480_000, true),
             (1_500_000, false),
         ] {
-            assert_eq!(was_shown(&log, 0, 0, t_us), expected, "{t_us}");
+            assert_eq!(was_in_logged_images(&log, 0, 0, t_us), expected, "{t_us}");
         }
-        assert!(!was_shown(&log, 1, 0, 1_000_000) && !was_shown(&Recording::default(), 0, 0, 0));
+        assert!(
+            !was_in_logged_images(&log, 1, 0, 1_000_000)
+                && !was_in_logged_images(&Recording::default(), 0, 0, 0)
+        );
         // Another camera did not show it.
-        assert!(!was_shown(&log, 0, 1, 1_000_000));
+        assert!(!was_in_logged_images(&log, 0, 1, 1_000_000));
     }
 
     #[test]
@@ -204,17 +207,17 @@ mod tests {
         let ImageRecord { channel, ego_from_camera, camera, .. } = log.frames[0].images[0].clone();
         log.rig = vec![RigCamera { channel, ego_from_camera, camera }];
         // While there is an image, its own time counts; the frame is 20 ms later.
-        assert!(was_shown(&log, 0, 0, 480_000) && !was_shown(&log, 0, 0, 1_490_000));
+        assert!(was_in_logged_images(&log, 0, 0, 480_000) && !was_in_logged_images(&log, 0, 0, 1_490_000));
         for frame in &mut log.frames {
             frame.images.clear();
         }
         for (t_us, expected) in
             [(0, false), (499_999, false), (500_000, true), (1_500_000, true), (1_500_001, false)]
         {
-            assert_eq!(was_shown(&log, 0, 0, t_us), expected, "{t_us}");
+            assert_eq!(was_in_logged_images(&log, 0, 0, t_us), expected, "{t_us}");
         }
         // Now the ego of that frame is turned away.
         log.frames[1].global_from_ego.rotation = DQuat::from_rotation_z(1.6);
-        assert!(!was_shown(&log, 0, 0, 1_000_000));
+        assert!(!was_in_logged_images(&log, 0, 0, 1_000_000));
     }
 }

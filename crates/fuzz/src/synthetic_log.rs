@@ -16,9 +16,9 @@ const STEP_US: i64 = 100_000;
 const START: DVec3 = DVec3::new(1000.0, 500.0, 2.0);
 
 /// A log in memory.
-pub(crate) struct Made(Recording);
+pub(crate) struct SyntheticLog(Recording);
 
-impl Made {
+impl SyntheticLog {
     pub(crate) fn new(frames: usize) -> Self {
         let track = |(id, category): (&str, &str)| Track {
             id: id.to_owned(),
@@ -39,14 +39,14 @@ impl Made {
     }
 }
 
-impl Made {
+impl SyntheticLog {
     /// Returns a log whose images are files below a folder, one per frame.
     pub(crate) fn with_images_in(frames: usize, root: &Path) -> Self {
-        let mut made = Self::new(frames);
-        for (index, frame) in made.0.frames.iter_mut().enumerate() {
+        let mut synthetic = Self::new(frames);
+        for (index, frame) in synthetic.0.frames.iter_mut().enumerate() {
             frame.images.iter_mut().for_each(|image| image.path = root.join(format!("samples/{index}.png")));
         }
-        made
+        synthetic
     }
 }
 
@@ -90,7 +90,7 @@ fn frame(index: usize) -> Frame {
     }
 }
 
-impl LogReader for Made {
+impl LogReader for SyntheticLog {
     fn recording(&self) -> &Recording {
         &self.0
     }
@@ -135,8 +135,8 @@ pub(crate) fn map() -> VectorMap {
 }
 
 /// Builds the skeleton of a log in a folder.
-pub(crate) fn skeleton(path: &Path, made: &Made) -> Skeleton {
+pub(crate) fn skeleton(path: &Path, synthetic: &SyntheticLog) -> Skeleton {
     let options = BuildOptions { voxel_m: 0.2, ..BuildOptions::default() };
-    let input = BuildInput::all(made);
+    let input = BuildInput::all(synthetic);
     skeleton::build(path, &[input], &options, &|_| Ok(Vec::new()), &BuildRun::default()).expect("a skeleton")
 }

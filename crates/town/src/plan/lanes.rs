@@ -57,7 +57,7 @@ pub(super) fn add_lanes(network: &mut Network) {
     }
     for junction in 0..network.junctions.len() {
         for from in network.junctions[junction].roads() {
-            add_ways(network, junction, from);
+            add_connectors(network, junction, from);
         }
     }
 }
@@ -71,7 +71,7 @@ fn lanes_at(network: &Network, junction: usize, road: usize) -> [Vec<usize>; 2] 
 
 /// Adds the paths from one road through a junction: from the outermost lane to the right, from the innermost
 /// to the left, from all lanes straight ahead. A lane without any of these gets paths to the available roads.
-fn add_ways(network: &mut Network, junction: usize, from: usize) {
+fn add_connectors(network: &mut Network, junction: usize, from: usize) {
     let [incoming, _] = lanes_at(network, junction, from);
     let mut targets: Vec<(Turn, Vec<usize>)> = Vec::new();
     for road in network.junctions[junction].roads() {
@@ -113,16 +113,16 @@ fn add_ways(network: &mut Network, junction: usize, from: usize) {
                 Turn::Straight if incoming.len() > lanes.len() => outer,
                 Turn::Straight => outer - (last - k),
             };
-            add_way(network, junction, *lane, lanes[to]);
+            add_connector(network, junction, *lane, lanes[to]);
         }
     }
 }
 
-fn add_way(network: &mut Network, junction: usize, from: usize, to: usize) {
+fn add_connector(network: &mut Network, junction: usize, from: usize, to: usize) {
     let (a, b) = (&network.lanes[from], &network.lanes[to]);
     let (before, after) = (polyline(&a.centerline), polyline(&b.centerline));
-    let centerline = way(before.at(before.length_m()).into(), after.at(0.0).into());
-    let way = TownLane {
+    let centerline = connector(before.at(before.length_m()).into(), after.at(0.0).into());
+    let connector = TownLane {
         id: format!("way-{junction:02}-{}-{}", &a.id["lane-".len()..], &b.id["lane-".len()..]),
         kind: LaneKind::Junction(junction),
         centerline,
@@ -130,12 +130,12 @@ fn add_way(network: &mut Network, junction: usize, from: usize, to: usize) {
         successors: vec![to],
     };
     let index = network.lanes.len();
-    network.lanes.push(way);
+    network.lanes.push(connector);
     network.lanes[from].successors.push(index);
 }
 
 /// Returns a smooth line from one point and direction to another: straight where there is room, then a curve.
-fn way([from, ahead]: [DVec2; 2], [to, on]: [DVec2; 2]) -> Vec<DVec2> {
+fn connector([from, ahead]: [DVec2; 2], [to, on]: [DVec2; 2]) -> Vec<DVec2> {
     let turn = ahead.angle_to(on);
     let denominator = ahead.perp_dot(on);
     let (a, b) = ((to - from).perp_dot(on) / denominator, (to - from).perp_dot(ahead) / denominator);

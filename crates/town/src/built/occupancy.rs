@@ -4,9 +4,9 @@ use rstar::{AABB, RTree};
 
 /// Occupant of an area.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Taken {
+pub(super) enum Occupant {
     /// Road or sidewalk.
-    Way,
+    Street,
     /// House.
     House,
     /// Garden in front of a house.
@@ -15,22 +15,23 @@ pub(super) enum Taken {
 
 /// Spatial index of occupied convex areas.
 #[derive(Debug)]
-pub(super) struct Room {
-    areas: Vec<(Vec<DVec2>, Taken)>,
+pub(super) struct Occupancy {
+    areas: Vec<(Vec<DVec2>, Occupant)>,
     tree: RTree<GeomWithData<Rectangle<[f64; 2]>, usize>>,
 }
 
-impl Room {
+impl Occupancy {
     /// Creates an index with the areas of streets.
-    pub(super) fn new(ways: Vec<Vec<DVec2>>) -> Self {
-        let areas: Vec<(Vec<DVec2>, Taken)> = ways.into_iter().map(|area| (area, Taken::Way)).collect();
+    pub(super) fn new(strips: Vec<Vec<DVec2>>) -> Self {
+        let areas: Vec<(Vec<DVec2>, Occupant)> =
+            strips.into_iter().map(|area| (area, Occupant::Street)).collect();
         let boxes =
             areas.iter().enumerate().map(|(i, (area, _))| GeomWithData::new(bounds(area), i)).collect();
         Self { areas, tree: RTree::bulk_load(boxes) }
     }
 
     /// Marks an area as occupied.
-    pub(super) fn take(&mut self, area: &[DVec2], by: Taken) {
+    pub(super) fn take(&mut self, area: &[DVec2], by: Occupant) {
         self.tree.insert(GeomWithData::new(bounds(area), self.areas.len()));
         self.areas.push((area.to_vec(), by));
     }
@@ -41,7 +42,7 @@ impl Room {
     }
 
     /// Returns the occupants that a convex area overlaps, in no particular order.
-    pub(super) fn meets<'a>(&'a self, area: &'a [DVec2]) -> impl Iterator<Item = Taken> + 'a {
+    pub(super) fn meets<'a>(&'a self, area: &'a [DVec2]) -> impl Iterator<Item = Occupant> + 'a {
         let envelope = rstar::RTreeObject::envelope(&bounds(area));
         let near = self.tree.locate_in_envelope_intersecting(envelope);
         near.map(|found| &self.areas[found.data]).filter(|(other, _)| overlap(area, other)).map(|(_, by)| *by)
@@ -90,10 +91,10 @@ mod tests {
             (square(0.2, -0.8), diamond, false),
         ] {
             assert_eq!((overlap(&a, &b), overlap(&b, &a)), (expected, expected), "{a:?} {b:?}");
-            let mut room = Room::new(vec![a.to_vec()]);
-            assert_eq!(room.is_free(&b), !expected);
-            room.take(&b, Taken::House);
-            assert!(room.meets(&b).any(|by| by == Taken::House));
+            let mut occupancy = Occupancy::new(vec![a.to_vec()]);
+            assert_eq!(occupancy.is_free(&b), !expected);
+            occupancy.take(&b, Occupant::House);
+            assert!(occupancy.meets(&b).any(|by| by == Occupant::House));
         }
     }
 }

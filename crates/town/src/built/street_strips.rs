@@ -5,7 +5,7 @@ use crate::plan::{Junction, JunctionEdge, Network};
 
 /// Streets as strips: a line along each road, and all kerbs with the sidewalks behind them.
 #[derive(Debug)]
-pub(super) struct Ways<'a> {
+pub(super) struct StreetStrips<'a> {
     /// Source network.
     pub(super) network: &'a Network,
     /// Line along each road; `None` if a road has no length.
@@ -37,7 +37,7 @@ impl Kerb {
     }
 }
 
-impl<'a> Ways<'a> {
+impl<'a> StreetStrips<'a> {
     pub(super) fn new(network: &'a Network) -> Self {
         let lines: Vec<Option<Line>> = network.roads.iter().map(|road| Line::new(&road.centerline)).collect();
         let mut kerbs = Vec::new();

@@ -29,7 +29,7 @@ const LARGEST: [u32; 2] = [720, 1160];
 ///
 /// # Errors
 /// Returns an error if an image is missing or damaged.
-pub fn picture(
+pub fn compose(
     folder: &Path,
     maps: &[String],
     caption: &str,
@@ -121,7 +121,7 @@ mod tests {
         for (name, rgb) in names.iter().zip([[200, 0, 0], [0, 0, 200], [200, 200, 0], [1, 2, 3]]) {
             save(&format!("{VIEW}/{name}.jpg"), [400, 201], rgb);
         }
-        let (size, pixels) = picture(folder.path(), &names, "x").unwrap();
+        let (size, pixels) = compose(folder.path(), &names, "x").unwrap();
         // The lower maps have half the 201 rows; the bird's-eye view is as high as both rows of maps.
         assert_eq!((size.width, size.height), (400 + 4 + 306 - 1 + 1, 28 + 201 + 4 + 100 + 1));
         let at = |x: u32, y: u32| pixels[((y + CAPTION) * size.width + x) as usize];
@@ -135,10 +135,10 @@ mod tests {
         ] {
             assert!(close(at(x, y), rgb), "{x} {y}: {:?}", at(x, y));
         }
-        let (alone, _) = picture(folder.path(), &[], "x").unwrap();
+        let (alone, _) = compose(folder.path(), &[], "x").unwrap();
         assert_eq!((alone.width, alone.height), (720, 748));
         std::fs::write(view.join("depth.jpg"), "no").unwrap();
-        let message = picture(folder.path(), &names, "x").unwrap_err().to_string();
+        let message = compose(folder.path(), &names, "x").unwrap_err().to_string();
         assert!(message.contains("expected a picture") && message.ends_with("depth.jpg"), "{message}");
     }
 }
