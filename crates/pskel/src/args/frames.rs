@@ -6,6 +6,8 @@ use std::str::FromStr;
 use clap::Args;
 use point_skeleton::scene::EgoOffset;
 
+use super::numbers;
+
 /// Frames of a recording.
 #[derive(Clone, Copy, Debug, Default, Args)]
 pub(crate) struct FrameArgs {
@@ -26,6 +28,24 @@ impl FrameArgs {
     pub(crate) fn of_any(self) -> Option<std::ops::Range<usize>> {
         self.frames.map(|range| range.first..range.end)
     }
+}
+
+/// Rate of samples.
+#[derive(Clone, Copy, Debug, Default, Args)]
+pub(crate) struct RateArgs {
+    /// Use this rate (0.1 to 100 per second) from the first to the last of the frames, instead of the frames;
+    /// ego and actors are interpolated
+    #[arg(long, value_name = "F", value_parser = numbers::rate_hz, allow_negative_numbers = true)]
+    pub(crate) hz: Option<f64>,
+}
+
+/// Frames left out of training and of skeletons.
+#[derive(Clone, Copy, Debug, Default, Args)]
+pub(crate) struct HoldOutArgs {
+    /// Held-out frames: every N-th, N - 1, 2 N - 1, ..; `train` and `build --every N` leave them out,
+    /// `evaluate` and `fidelity` use them alone
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(2..))]
+    pub(crate) hold_out: Option<u16>,
 }
 
 /// Displacement of the ego.

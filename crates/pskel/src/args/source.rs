@@ -26,6 +26,18 @@ pub(crate) struct SourceArgs {
     pub(crate) roots: LogRoots,
 }
 
+/// Points and cameras without a recording.
+#[derive(Clone, Debug, Args)]
+pub(crate) struct CloudArgs {
+    /// Points: NPY, floats Nx6 (x y z r g b, colors 0-255) or Nx7 with the class last; or PLY (colors 0-255,
+    /// or 0-1 as floats)
+    #[arg(long, value_name = "P.npy|P.ply", requires = "cameras")]
+    pub(crate) points: Option<PathBuf>,
+    /// Cameras: {"cameras": [{"name", "width", "height", "intrinsics": 3x3, "camera_from_world": 4x4}]}
+    #[arg(long, value_name = "C.json", requires = "points")]
+    pub(crate) cameras: Option<PathBuf>,
+}
+
 /// Skeletons of many recordings.
 #[derive(Clone, Debug, Args)]
 pub(crate) struct SkeletonsArgs {

@@ -8,6 +8,7 @@ use clap::Args;
 use point_skeleton::files::Inputs;
 use pskel_eval::{EvaluateError, EvaluateOptions, SCORES, evaluate};
 
+use crate::args::frames::HoldOutArgs;
 use crate::args::outputs;
 use crate::progress::Progress;
 use crate::{WrongUsage, print_progress, print_result};
@@ -34,9 +35,8 @@ pub(crate) struct EvaluateArgs {
     /// f32 or f64 [N, D], for generated and for ground-truth images
     #[arg(long, value_names = ["GEN.npy", "TRUE.npy"], num_args = 2)]
     features: Vec<PathBuf>,
-    /// Score only every N-th frame: N - 1, 2 N - 1, .., those that `train --hold-out N` leaves out
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(2..))]
-    hold_out: Option<u16>,
+    #[command(flatten)]
+    held_out: HoldOutArgs,
 }
 
 /// Runs the command: scores the rollouts, prints and writes the report.
@@ -48,7 +48,7 @@ pub(crate) fn run(args: &EvaluateArgs) -> anyhow::Result<()> {
         rollouts: args.rollouts.clone(),
         masks: args.masks.clone(),
         features: args.features.clone().try_into().ok(),
-        hold_out: args.hold_out.map(usize::from),
+        hold_out: args.held_out.hold_out.map(usize::from),
         root: None,
     };
     let progress = RefCell::new(None);

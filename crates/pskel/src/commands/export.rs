@@ -11,11 +11,10 @@ use pskel_export::{
     SampleTimes, WorkList,
 };
 
-use crate::args::frames::FrameArgs;
+use crate::args::frames::{FrameArgs, RateArgs};
 use crate::args::log::{self, LogRoots};
 use crate::args::maps::MapArgs;
 use crate::args::names::names;
-use crate::args::numbers;
 use crate::args::outputs::FolderArgs;
 use crate::args::prompt::PromptArgs;
 use crate::args::rasterizer::RasterizerArgs;
@@ -61,10 +60,8 @@ pub(crate) struct ExportArgs {
     /// Also export the images between key frames (nuScenes: 12 Hz)
     #[arg(long, conflicts_with = "hz")]
     between_images: bool,
-    /// Export samples at this rate (0.1 to 100 per second) instead of key frames; ego and actors are
-    /// interpolated
-    #[arg(long, value_name = "F", value_parser = numbers::rate_hz, allow_negative_numbers = true)]
-    hz: Option<f64>,
+    #[command(flatten)]
+    rate: RateArgs,
     /// Also export the recorded images, without lens distortion and at the size of the maps
     #[arg(long)]
     images: bool,
@@ -137,7 +134,7 @@ impl ExportArgs {
             frames: self.frames.of_any().map(|frames| [frames.start, frames.end]),
             shard_frames: self.shard_frames as usize,
             images: self.images,
-            times: match self.hz {
+            times: match self.rate.hz {
                 Some(hz) => SampleTimes::Rate { hz },
                 None if self.between_images => SampleTimes::Images,
                 None => SampleTimes::KeyFrames,
@@ -176,7 +173,7 @@ fn finish(failures: &[Failure]) -> anyhow::Result<()> {
         print_progress(&format!("failed: {}: {}", failure.name, failure.error));
     }
     let count = failures.len();
-    anyhow::ensure!(count == 0, "{count} recordings or shards failed");
+    anyhow::ensure!(count == 0, "failed recordings and shards: {count}");
     Ok(())
 }
 

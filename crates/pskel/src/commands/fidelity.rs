@@ -11,7 +11,7 @@ use point_skeleton::{RenderOptions, Renderer};
 use pskel_eval::{FidelityFiles, FidelityFrames, FidelityReport, FidelitySource, fidelity};
 use pskel_town::Town;
 
-use crate::args::frames::FrameArgs;
+use crate::args::frames::{FrameArgs, HoldOutArgs};
 use crate::args::rasterizer::RasterizerArgs;
 use crate::args::size::SizeArgs;
 use crate::args::source::SourceArgs;
@@ -33,9 +33,8 @@ pub(crate) struct FidelityArgs {
     frames: FrameArgs,
     #[command(flatten)]
     size: SizeArgs,
-    /// Compare only every N-th frame: N - 1, 2 N - 1, .., none of those of a skeleton of `build --every N`
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(2..))]
-    hold_out: Option<u16>,
+    #[command(flatten)]
+    held_out: HoldOutArgs,
     /// Write the report: FILE.json (all numbers), FILE.csv or FILE.md (the table); may be repeated
     #[arg(long, value_name = "FILE", value_parser = Form::path)]
     out: Vec<PathBuf>,
@@ -106,7 +105,7 @@ pub(crate) fn run(args: &FidelityArgs) -> anyhow::Result<()> {
     let log = source.recording();
     let skeleton = args.source.open_skeleton(log)?;
     let range = args.frames.of(log.frames.len())?;
-    let frames = FidelityFrames { range, hold_out: args.hold_out.map(usize::from) };
+    let frames = FidelityFrames { range, hold_out: args.held_out.hold_out.map(usize::from) };
     let (substitutes, _) = args.substitutes.options().make(&skeleton, &log.name)?;
     let render = RenderOptions {
         rasterizer: args.rasterizer.desc()?,

@@ -13,8 +13,9 @@ use point_skeleton::scene::SceneInstances;
 
 use crate::args::rasterizer::RasterizerArgs;
 use crate::args::size::SizeArgs;
+use crate::args::source::CloudArgs;
 use crate::progress::Progress;
-use crate::{print_notes, print_result};
+use crate::{WrongUsage, print_notes, print_result};
 
 /// Splat any point cloud into any cameras: color, depth, class and point number per pixel
 ///
@@ -22,14 +23,10 @@ use crate::{print_notes, print_result};
 /// the file. Writes the arrays color (u8, VxHxWx3), depth (f32, VxHxW, meters, -300 where empty), class (u8,
 /// VxHxW) and point (u32, VxHxW, row in the file + 1, 0 where empty), views in the order of the camera file.
 #[derive(Debug, Args)]
+#[command(mut_arg("points", |arg| arg.required(true)), mut_arg("cameras", |arg| arg.required(true)))]
 pub(crate) struct SplatArgs {
-    /// Points: NPY, floats Nx6 (x y z r g b, colors 0-255) or Nx7 with the class last; or PLY (colors 0-255,
-    /// or 0-1 as floats)
-    #[arg(long, value_name = "P.npy|P.ply")]
-    points: PathBuf,
-    /// Cameras: {"cameras": [{"name", "width", "height", "intrinsics": 3x3, "camera_from_world": 4x4}]}
-    #[arg(long, value_name = "C.json")]
-    cameras: PathBuf,
+    #[command(flatten)]
+    cloud: CloudArgs,
     /// Archive to write
     #[arg(long, value_name = "F.npz")]
     out: PathBuf,
@@ -42,11 +39,14 @@ pub(crate) struct SplatArgs {
 /// Runs the command: reads points and cameras, renders, writes the arrays.
 pub(crate) fn run(args: SplatArgs) -> anyhow::Result<()> {
     let start = Instant::now();
-    let inputs = Inputs::new([&args.points, &args.cameras]);
+    let CloudArgs { points: Some(points), cameras: Some(cameras) } = &args.cloud else {
+        return Err(WrongUsage("expected --points and --cameras, found none".to_owned()).into());
+    };
+    let inputs = Inputs::new([points, cameras]);
     let out = OutputFile::open(&args.out, npz::COLOR_FIRST, &inputs)?;
-    let views = cloud::cameras::read(&args.cameras)?;
-    let cloud = cloud::read(&args.points)?;
-    print_notes(&args.points, &cloud.notes);
+    let views = cloud::cameras::read(cameras)?;
+    let cloud = cloud::read(points)?;
+    print_notes(points, &cloud.notes);
     let mut rasterizer = args.rasterizer.create(vec![&cloud.points])?;
     let instance = Instance { cloud: 0, world_from_local: cloud.world_from_local(), number: 0 };
     let clouds = SceneInstances { color: vec![instance], geometry: vec![instance] };

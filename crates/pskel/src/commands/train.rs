@@ -14,6 +14,7 @@ use pskel_network::train::{
     ClipRecorder, RecordOptions, RunOptions, StepReport, TrainOptions, TrainingFolder, recent_loss,
 };
 
+use crate::args::frames::HoldOutArgs;
 use crate::args::log::{self, LogRoots};
 use crate::args::numbers;
 use crate::args::outputs::FolderArgs;
@@ -37,9 +38,8 @@ pub(crate) struct TrainArgs {
     /// frames]
     #[arg(long, value_name = "W,..", value_delimiter = ',', value_parser = numbers::non_negative)]
     weights: Option<Vec<f64>>,
-    /// Train without every N-th frame, for a comparison with these: frames N - 1, 2 N - 1, ..
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(2..))]
-    hold_out: Option<u16>,
+    #[command(flatten)]
+    held_out: HoldOutArgs,
     #[command(flatten)]
     folder: FolderArgs,
     /// Folder of training clips; missing ones are recorded [default: DIR/drives]
@@ -159,7 +159,7 @@ impl TrainArgs {
         for locator in &self.logs {
             let outline = opener.outline(&self.roots.locate(locator));
             let frames = outline.with_context(|| format!("log {locator}"))?.frames;
-            let left = frames - self.hold_out.map_or(0, |every| frames / usize::from(every));
+            let left = frames - self.held_out.hold_out.map_or(0, |every| frames / usize::from(every));
             let held = if left < frames { " that are not held out" } else { "" };
             anyhow::ensure!(
                 left >= least,
@@ -186,7 +186,7 @@ impl TrainArgs {
             let frames: usize = recorded.iter().map(|clip| clip.frames.len()).sum();
             let weight = self.weights.as_ref().map_or(frames as f64, |weights| weights[place]);
             shares.extend(recorded.iter().map(|clip| weight * clip.frames.len() as f64 / frames as f64));
-            clips.extend(recorded.into_iter().map(|clip| match self.hold_out {
+            clips.extend(recorded.into_iter().map(|clip| match self.held_out.hold_out {
                 Some(every) => clip.without_every(usize::from(every)),
                 None => clip,
             }));

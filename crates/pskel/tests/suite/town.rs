@@ -48,7 +48,7 @@ fn invalid_town_options_are_usage_errors() {
         ("town lidar_hz=10,hz=12 --out out/x", ["hz of 0.5 to lidar_hz", "\"12\""]),
         ("town lidar_hz=15 --out out/x", ["lidar_hz of 10 or 20", "\"15\""]),
         ("town size=9000x9000 --out out/x", ["at most 33554432 pixels", "9000x9000"]),
-        ("town size=90 --out out/x", ["a size HxW", "90"]),
+        ("town size=90 --out out/x", ["HxW of 1 to 16384 pixels", "90"]),
         ("town seed=-1 --out out/x", ["whole number below 2^64 for seed", "-1"]),
         ("town light=night --out out/x", ["day, dusk or overcast", "night"]),
         ("town --color red --out out/x", ["unexpected argument", "--color"]),
@@ -115,7 +115,7 @@ fn all_commands_accept_a_town() {
     assert_eq!(std::fs::read_to_string(log.path("out/f.md")).unwrap().lines().count(), 10);
     assert_eq!(std::fs::read_to_string(log.path("out/f.csv")).unwrap().lines().count(), 9);
     // Recorded images of frames that are not in the skeleton.
-    log.succeed("town --seed 5 --frames 2 --size 90x160 --out out/log");
+    log.succeed("town seed=5,frames=2,size=90x160 --out out/log");
     log.succeed("build nuscenes:out/log --every 2 --out out/half");
     log.succeed(
         "fidelity nuscenes:out/log --skeleton out/half --hold-out 2 --out out/c.json --out out/c.csv",

@@ -12,7 +12,7 @@ use pskel_eval::bench::{BenchOptions, Workload};
 use crate::args::frames::FrameArgs;
 use crate::args::rasterizer::RasterizerArgs;
 use crate::args::size::SizeArgs;
-use crate::args::source::open_skeleton;
+use crate::args::source::{CloudArgs, open_skeleton};
 use crate::args::substitutes::SubstituteArgs;
 use crate::args::{log, numbers};
 use crate::{WrongUsage, logs, print_notes, print_progress, warn};
@@ -40,12 +40,8 @@ pub(crate) struct BenchArgs {
     #[arg(long, value_name = "N", value_parser = numbers::points, conflicts_with_all = ["points", "cameras"])]
     #[arg(allow_negative_numbers = true)]
     synthetic: Option<usize>,
-    /// Points: NPY, floats Nx6 (x y z r g b, colors 0-255) or Nx7 with the class last; or PLY
-    #[arg(long, value_name = "P.npy|P.ply", requires = "cameras")]
-    pub(super) points: Option<PathBuf>,
-    /// Cameras: {"cameras": [{"name", "width", "height", "intrinsics": 3x3, "camera_from_world": 4x4}]}
-    #[arg(long, value_name = "C.json", requires = "points")]
-    pub(super) cameras: Option<PathBuf>,
+    #[command(flatten)]
+    cloud: CloudArgs,
     #[command(flatten)]
     size: SizeArgs,
     /// Maps to render: color, depth, class, instance, and point (point numbers); with boxes, map (the
@@ -101,14 +97,14 @@ impl BenchArgs {
 
     /// Returns everything that is read.
     pub(super) fn inputs(&self) -> Inputs {
-        let files = [&self.skeleton, &self.points, &self.cameras].into_iter().flatten();
+        let files = [&self.skeleton, &self.cloud.points, &self.cloud.cameras].into_iter().flatten();
         let log = self.log.iter().flat_map(LogLocator::inputs);
         Inputs::new(files).and(log).and(self.substitutes.inputs())
     }
 
     /// Generates or loads the workload that the options select.
     pub(super) fn workload(&self) -> anyhow::Result<Workload> {
-        match (&self.log, &self.skeleton, &self.points, &self.cameras) {
+        match (&self.log, &self.skeleton, &self.cloud.points, &self.cloud.cameras) {
             (Some(log), Some(skeleton), ..) => {
                 let log = logs::open(log)?;
                 let skeleton = open_skeleton(skeleton, log.recording())?;

@@ -55,7 +55,7 @@ pub(crate) fn run(args: InfoArgs) -> anyhow::Result<()> {
         print_result(text.trim_end());
     }
     let damaged = log::damaged(&json);
-    anyhow::ensure!(damaged == 0, "{damaged} files of the log are missing or damaged: {}", args.target);
+    anyhow::ensure!(damaged == 0, "missing or damaged files: {damaged}, in {}", args.target);
     verified.map_or(Ok(()), |verified| verified.result(&args.target))
 }
 

@@ -135,7 +135,7 @@ pub(super) fn run(protocol: Protocol, args: &ClipProtocolArgs) -> anyhow::Result
             failures += 1;
         }
     }
-    anyhow::ensure!(failures < logs.len(), "all {failures} recordings failed");
+    anyhow::ensure!(failures < logs.len(), "every recording failed: {failures}");
     run.finish(&dataset)?;
     files.close()?;
     let (count, seconds) = (logs.len(), start.elapsed().as_secs_f64());
@@ -144,7 +144,7 @@ pub(super) fn run(protocol: Protocol, args: &ClipProtocolArgs) -> anyhow::Result
         "{count} recording{plural} in {seconds:.2} s: {}",
         args.given.folder.out.display()
     ));
-    anyhow::ensure!(failures == 0, "{failures} recordings failed");
+    anyhow::ensure!(failures == 0, "failed recordings: {failures}");
     Ok(())
 }
 

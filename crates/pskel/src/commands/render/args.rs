@@ -8,9 +8,8 @@ use point_skeleton::scene::{EgoOffset, LogTimes, SelectionOptions, SubstituteRep
 use serde::Serialize;
 
 use crate::WrongUsage;
-use crate::args::frames::{FrameArgs, MovedEgoArgs};
+use crate::args::frames::{FrameArgs, MovedEgoArgs, RateArgs};
 use crate::args::maps::MapArgs;
-use crate::args::numbers;
 use crate::args::outputs::FolderArgs;
 use crate::args::prompt::PromptArgs;
 use crate::args::rasterizer::RasterizerArgs;
@@ -34,13 +33,10 @@ pub(crate) struct RenderArgs {
     /// Render at these times within the log instead of at frames, absolute microseconds; ego and actors are
     /// interpolated
     #[arg(long, value_name = "T_US,..", value_delimiter = ',', allow_hyphen_values = true)]
-    #[arg(conflicts_with = "frames")]
+    #[arg(conflicts_with_all = ["frames", "hz"])]
     pub(super) at: Vec<i64>,
-    /// Render at this rate (0.1 to 100 per second) from the first to the last of the frames; ego and actors
-    /// are interpolated
-    #[arg(long, value_name = "F", value_parser = numbers::rate_hz, allow_negative_numbers = true)]
-    #[arg(conflicts_with = "at")]
-    pub(super) hz: Option<f64>,
+    #[command(flatten)]
+    pub(super) rate: RateArgs,
     /// Also write FRAME/birdseye.png: bird's-eye view of 100 x 100 m around the ego, with HD map, boxes and
     /// cameras
     #[arg(long)]
@@ -119,14 +115,14 @@ impl RenderArgs {
             return Ok(LogTimes::At(self.at.clone()));
         }
         let frames = self.frames.of(log.frames.len())?;
-        Ok(self.hz.map_or(LogTimes::Frames(frames.clone()), |hz| LogTimes::Rate(frames, hz)))
+        Ok(self.rate.hz.map_or(LogTimes::Frames(frames.clone()), |hz| LogTimes::Rate(frames, hz)))
     }
 
     pub(super) fn options(&self, maps: MapSet, substitutes: SubstituteReport) -> RenderOptions {
         RenderOptions {
             conditions: self.maps.conditions(maps),
             selection: self.maps.selection(),
-            hz: self.hz,
+            hz: self.rate.hz,
             substitutes,
             ego_offset: self.moved.ego_offset.unwrap_or_default(),
             distort: self.distort,

@@ -63,7 +63,7 @@ pub(crate) fn run(args: RenderArgs) -> anyhow::Result<()> {
         format: args.maps.format,
         bins: &options.conditions.depth_bins,
         prompt: &prompt,
-        fps: args.hz.or_else(|| frame_rate_hz(&log.frames).filter(|_| args.at.is_empty())),
+        fps: args.rate.hz.or_else(|| frame_rate_hz(&log.frames).filter(|_| args.at.is_empty())),
         birdseye: args.birdseye,
         log: &log.name,
     };

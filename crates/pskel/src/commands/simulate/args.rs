@@ -33,8 +33,8 @@ use crate::{WrongUsage, warn};
 
 /// Help of `--steps`.
 const STEPS: &str = "Number of simulation steps; step 0 is the log's. A replayed ego stops when the log \
-    ends. With other policies it drives on: only actors under a policy remain there, and the skeleton may have \
-    no points";
+    ends. With other policies it drives on: only actors under a policy remain there, and the skeleton may \
+    have no points";
 
 /// Simulate a recording in a closed loop: ego and other actors move by policies, and every step is rendered
 ///

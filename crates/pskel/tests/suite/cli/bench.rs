@@ -208,7 +208,7 @@ fn wrong_usage_exits_with_2() {
         ),
         (
             "bench --maps boxes",
-            "expected a drive, or --maps out of color,depth,class,instance,point, found boxes",
+            "expected a recording, or --maps out of color,depth,class,instance,point, found boxes",
         ),
         ("bench --points p.npy --cameras c.json --maps color,map", "found color,map"),
         ("bench --no-default-templates", "expected a recording with --templates"),

@@ -108,7 +108,10 @@ fn rejects_builds_that_cannot_be_resumed() {
     // Nothing to resume: the build was killed before its first checkpoint.
     let output = log.run("build nuscenes:log --out out/sk --resume");
     let said = String::from_utf8_lossy(&output.stderr);
-    assert!(output.status.success() && said.contains("warning: no unfinished build was found"), "{said}");
+    assert!(
+        output.status.success() && said.contains("warning: --resume: found no unfinished build"),
+        "{said}"
+    );
     assert!(tree(&log.path("out/sk")) == tree(&log.path("out/whole")));
 }
 

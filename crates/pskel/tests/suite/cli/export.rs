@@ -248,7 +248,7 @@ fn failures_affect_only_their_own_shards() {
         "ego_pose.json",
         "failed: nuscenes:unlisted: ",
         "sample.json",
-        "2 recordings or shards failed",
+        "failed recordings and shards: 2",
     ];
     assert_failed(&output, 1, &parts);
     let reported = String::from_utf8(output.stdout).unwrap();

@@ -47,7 +47,7 @@ fn a_log_is_built_and_rendered_with_images_and_without() {
         let render = "render av2:0a1b2c3d --skeleton sk --out out --rasterizer cpu --format npz --splat \
             100:0 --frames 1..2 --no-default-templates";
         let summary = pskel(root, render);
-        assert_eq!(summary.contains("images missing"), !images, "{summary}");
+        assert_eq!(summary.contains("missing images"), !images, "{summary}");
         assert!(summary.contains("7 camera views"), "{summary}");
         let maps = root.join("out/000001/maps.npz");
         let class = pskel_testing::npz::read::<u8>(&maps, "class");

@@ -15,7 +15,7 @@ fn info(log: &TinyLog, target: &str) -> Value {
     let damaged = json["damaged"].as_array().is_some_and(|damaged| !damaged.is_empty());
     let errors = String::from_utf8_lossy(&output.stderr);
     assert_eq!(output.status.code(), Some(i32::from(damaged)), "{errors}");
-    assert_eq!(errors.contains("every file of the log"), damaged, "{errors}");
+    assert_eq!(errors.contains("missing or damaged files: "), damaged, "{errors}");
     json
 }
 

@@ -320,7 +320,7 @@ fn a_rollout_without_a_step_resumes_from_the_start() {
         let output = log.run(&format!("{SIMULATE} --resume"));
         let stderr = String::from_utf8_lossy(&output.stderr);
         assert!(
-            output.status.success() && stderr.contains("warning: no rollout with a step was found"),
+            output.status.success() && stderr.contains("warning: --resume: found no earlier steps"),
             "{stderr}"
         );
         assert!(tree(&log.path("out")) == whole, "{left}");

@@ -97,7 +97,7 @@ fn an_interrupted_protocol_ends_with_the_same_bytes() {
     let fails = "if os.path.exists('out/2hz/tiny/index.json'): raise SystemExit(3)";
     let broken = two_scenes(&at_call(3, fails));
     let output = broken.run(VAL);
-    assert_failed(&output, 1, &["failed: nuscenes:log", "part 2hz, clip tiny-b", "1 recordings failed"]);
+    assert_failed(&output, 1, &["failed: nuscenes:log", "part 2hz, clip tiny-b", "failed recordings: 1"]);
     assert!(table(&broken).lines().nth(2).unwrap().starts_with("| 2hz | 1 | 2 of 16 | "));
     denoiser(&broken, "");
     let output = broken.run(VAL);
@@ -154,7 +154,8 @@ fn invalid_protocols_are_rejected_before_writing() {
     assert_failed(&run("nuscenes-val nuscenes:log nuscenes:log --other-logs"), 2, &["each log once"]);
     assert!(!log.path("p").exists());
     let short = format!("{val} --other-logs --parts 2hz --generator fill --window 4");
-    let parts = ["part 2hz", "expected a log of more than 3 frames at 2.0 Hz, found 3", "each of 1"];
+    let parts =
+        ["part 2hz", "expected a log of more than 3 frames at 2.0 Hz, found 3", "every recording failed: 1"];
     assert_failed(&run(&short), 1, &parts);
     // Other options need another folder.
     let other = format!("{val} --other-logs --parts 2hz --generator fill --window 2 --radius 50");

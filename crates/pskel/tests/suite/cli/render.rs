@@ -294,7 +294,7 @@ fn wrong_usage_exits_with_2_and_times_out_of_the_log_with_1() {
         ("--distort --color-filter valid-area", "bilinear with --distort"),
         ("--distort --color-filter visible-area", "bilinear with --distort"),
         ("--frames 3..1", "A..B with A < B"),
-        ("--maps color,lanes", "color,depth,class"),
+        ("--maps color,lanes", "the map color, depth, class"),
         ("--format gif", "png, exr, npz"),
         ("--size 0x4", "a size HxW"),
         ("--radius -3", "more than 0"),

@@ -80,7 +80,7 @@ fn actors_of_several_skeletons_become_a_library() {
     let log = TinyLog::new();
     two_skeletons(&log);
     let summary = log.succeed("templates sk1 sk2 --out out/t");
-    assert!(summary.starts_with("made 2 templates from 2 logs: sedan ("), "{summary}");
+    assert!(summary.starts_with("created 2 templates from 2 logs: sedan ("), "{summary}");
     assert!(summary.contains("skipped 1 actors without points"), "{summary}");
     let mut files: Vec<String> = tree(&log.path("out/t")).into_keys().collect();
     files.sort();
@@ -168,7 +168,7 @@ fn damaged_libraries_are_errors_that_leave_nothing() {
             ["a list of templates, found no field sources", "templates.json"],
         ),
         (with("\"bus\"", "\"sedan\""), ["one template a kind", "sedan twice"]),
-        (with("\"bus\"", "\"tank\""), ["unknown variant `tank`", "templates.json"]),
+        (with("\"bus\"", "\"tank\""), ["found \"tank\" instead of the template sedan", "templates.json"]),
         (good.replace("4.6", "-4.6"), ["a box with sides of", "in template sedan"]),
         (many.to_string(), ["bytes (18446744073709", "templates.points"]),
         ("{".to_owned(), ["a list of templates", "templates.json"]),

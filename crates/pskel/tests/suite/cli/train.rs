@@ -108,7 +108,7 @@ fn recorded(folder: &Path) {
     assert_failed(
         &command(folder, moved).output().unwrap(),
         1,
-        &["expected a log town:.. with --ego-offset", "nuscenes:log"],
+        &["expected a synthetic log (town:..) with --ego-offset", "nuscenes:log"],
     );
     let output = command(folder, &mixed.replace("3,1", "3")).output().unwrap();
     assert_failed(&output, 2, &["expected 2 --weights", "[3.0]"]);

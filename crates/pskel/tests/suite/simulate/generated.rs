@@ -59,7 +59,7 @@ fn images_are_generated_from_the_logs_conditions() {
     let summary = log.succeed(&format!("{GENERATE} --window 2 --profile profile.json"));
     assert!(summary.contains("2 frames generated, median "), "{summary}");
     let summary = log.succeed(&format!("{GENERATE} --window 4"));
-    assert!(summary.contains("no frame generated, all are references"), "{summary}");
+    assert!(summary.contains("no frames generated: all planning steps are references"), "{summary}");
     log.succeed(&format!("{GENERATE} --window 2 --profile profile.json"));
     assert_eq!(kinds(&log, 3), ["reference", "generated", "generated"]);
     assert_page_is_whole(&log, "out", 3);
@@ -103,7 +103,7 @@ fn presets_set_recipe_window_steps_and_guidance() {
         [("", 10, 30, 2.0), ("--window 5 --infer-steps 5 --guidance 1.5 --guide all", 5, 5, 1.5)]
     {
         let summary = log.succeed(&format!("{GENERATE} --recipe pas-nuplan {options}"));
-        assert!(summary.contains("no frame generated, all are references"), "{summary}");
+        assert!(summary.contains("no frames generated: all planning steps are references"), "{summary}");
         let generator = &log.json("out/rollout.json")["generator"];
         assert_eq!((&generator["window"], &generator["steps"]), (&json!(window), &json!(steps)));
         assert_eq!(generator["guidance"]["scale"], json!(scale));
