@@ -2,7 +2,6 @@
 //!
 //! Boxes exist at frames only. With data of another clock, all actors would silently become background.
 
-#[cfg(any(feature = "nuscenes", feature = "nuplan"))]
 use std::collections::BTreeSet;
 use std::fmt;
 
@@ -12,7 +11,6 @@ use super::recording::notes::{Notes, note};
 pub(super) const TOLERANCE_US: u64 = 1_000_000;
 
 /// Difference up to which clocks are not noted, microseconds: a rotation of a LiDAR takes 100 ms.
-#[cfg(any(feature = "nuscenes", feature = "nuplan"))]
 const NOTED_US: u64 = 120_000;
 
 /// Plausible times from frame to frame, microseconds.
@@ -28,7 +26,6 @@ pub(super) struct Unit(usize);
 
 impl Unit {
     pub(super) const MICROS: Self = Self(2);
-    #[cfg(feature = "av2")]
     pub(super) const NANOS: Self = Self(3);
 
     /// Returns ` (UNIT instead of UNIT?)` if a file's time is one of the years 1980 to 2100 in another unit;
@@ -70,13 +67,11 @@ pub(super) struct Offset {
 
 impl Offset {
     /// Compares a time with the one that it belongs to, in microseconds; `None` within the tolerance.
-    #[cfg(any(feature = "nuscenes", test))]
     pub(super) fn of(t_us: i64, expected_us: i64) -> Option<Self> {
         Self::beyond(t_us, expected_us, TOLERANCE_US)
     }
 
     /// Compares a time with the one that it belongs to, in microseconds; `None` within a tolerance.
-    #[cfg(any(feature = "nuscenes", feature = "nuplan", test))]
     fn beyond(t_us: i64, expected_us: i64, tolerance_us: u64) -> Option<Self> {
         let range_us = [t_us.abs_diff(expected_us); 2];
         (range_us[0] > tolerance_us).then_some(Self { t_us, expected_us, range_us, unit: Unit::MICROS })
@@ -85,7 +80,6 @@ impl Offset {
     /// Compares ascending times with the first and last of a span. Returns the offset of the first time from
     /// the first of the span, if no time is within the span or the tolerance. Times on both sides of the span
     /// are of its clock.
-    #[cfg(any(feature = "nuplan", feature = "av2"))]
     pub(super) fn of_all(
         times_us: impl Iterator<Item = i64>,
         [first, last]: [i64; 2],
@@ -142,7 +136,6 @@ impl fmt::Display for Offset {
 }
 
 /// Ego poses whose time differs from the time of the data that refer to them.
-#[cfg(any(feature = "nuscenes", feature = "nuplan"))]
 #[derive(Debug, Default)]
 pub(super) struct PoseTimes {
     count: usize,
@@ -151,7 +144,6 @@ pub(super) struct PoseTimes {
     first: Option<(String, Offset)>,
 }
 
-#[cfg(any(feature = "nuscenes", feature = "nuplan"))]
 impl PoseTimes {
     /// Compares the time of a pose with the time of its data, in microseconds. `names` returns the sensor,
     /// and the token of the pose.
@@ -178,11 +170,9 @@ impl PoseTimes {
 
 /// Times of key frames relative to their frames, by sensor. Only nuScenes links them; where they are found by
 /// time, they are near it.
-#[cfg(feature = "nuscenes")]
 #[derive(Debug, Default)]
 pub(super) struct KeyTimes(std::collections::BTreeMap<String, Vec<[i64; 2]>>);
 
-#[cfg(feature = "nuscenes")]
 impl KeyTimes {
     /// Adds a key frame of a sensor and the time of its frame, microseconds.
     pub(super) fn add(&mut self, sensor: &str, t_us: i64, frame_us: i64) {
@@ -252,7 +242,6 @@ mod tests {
     }
 
     #[test]
-    #[cfg(any(feature = "nuplan", feature = "av2"))]
     fn a_clock_is_wrong_if_no_time_is_near() {
         let span = [T_US, T_US + 5_000_000];
         let of = |times: &[i64]| Offset::of_all(times.iter().copied(), span, Unit::MICROS);
@@ -272,7 +261,6 @@ mod tests {
     }
 
     #[test]
-    #[cfg(feature = "av2")]
     fn units_follow_the_format() {
         let nanos = |t_us: i64| {
             let span = [T_US, T_US + 5_000_000];
@@ -294,7 +282,6 @@ mod tests {
     }
 
     #[test]
-    #[cfg(feature = "nuscenes")]
     fn a_median_beyond_a_rotation_is_noted() {
         let noted = |offsets: &[i64]| {
             let (mut times, mut notes) = (KeyTimes::default(), Notes::new());

@@ -5,11 +5,9 @@ use crate::error::FileError;
 
 /// Maximum distance of a time from 1970, microseconds: a thousand years. Later times are rejected as damaged,
 /// so differences of times cannot overflow.
-#[cfg(any(feature = "nuscenes", feature = "nuplan"))]
 pub(super) const MAX_TIME_US: i64 = 31_557_600_000_000_000;
 
 /// Maximum number of cameras. More are rejected as damaged, since each has an image in every frame.
-#[cfg(any(feature = "nuscenes", feature = "nuplan"))]
 pub(super) const MAX_CAMERAS: usize = 64;
 
 /// Validates the given folders of sensors and maps.

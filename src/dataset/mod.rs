@@ -3,6 +3,17 @@
 //! A reader converts its raw tables to a lightweight [`Recording`] (poses, calibration, boxes and file paths)
 //! and reads sweeps and images on demand. Nothing is dropped silently: a reader counts skipped items in
 //! [`Recording::notes`].
+//!
+//! # What a reader uses
+//! - files: `DataRoot` (paths that data names stay below its folder), `json::read`, `read_picture`, `sweeps`
+//!   (rows and PCD files to points), `limits` (numbers that readers accept), `clock` (units of times);
+//! - skipped parts: `Notes` counts what is left out, a [`Gap`] names a missing part, and
+//!   `settle`, the last step of each reader, applies [`MissingData`] to both;
+//! - values: `CategoryKind` (words of data sets), `Cuboid::unless_flat`, [`RigCamera`] in the order around the
+//!   vehicle, which is the order of maps.
+//!
+//! A [`Recording`] has frames in order of time, tracks in order of their names, at most one image of a camera
+//! per frame, and the frame's own sweep before others.
 
 // Each reader needs only some of the shared helpers.
 #![cfg_attr(
@@ -13,11 +24,8 @@
 #[cfg(feature = "av2")]
 pub mod av2;
 mod category;
-#[cfg(any(feature = "nuscenes", feature = "nuplan", feature = "av2"))]
 mod clock;
-#[cfg(any(feature = "nuscenes", feature = "av2"))]
 mod lenient;
-#[cfg(any(feature = "nuscenes", feature = "nuplan", feature = "av2"))]
 mod limits;
 mod map;
 mod moved_ego;
@@ -30,7 +38,6 @@ mod reading;
 mod recording;
 mod registry;
 mod summary;
-#[cfg(any(feature = "nuscenes", feature = "nuplan", feature = "av2"))]
 mod sweeps;
 
 pub(crate) use category::CategoryKind;
@@ -135,7 +142,6 @@ pub trait ViewRenderer {
 }
 
 /// Stated number of LiDAR points per frame and box; `None` for an unknown number.
-#[cfg(any(feature = "nuscenes", feature = "av2"))]
 pub(crate) type BoxPoints = Vec<Vec<Option<u32>>>;
 
 /// Actor at a pose that may differ from the log.
@@ -165,7 +171,7 @@ pub struct Sweep {
 pub struct SweepPoint {
     /// Meters, LiDAR frame.
     pub position: [f32; 3],
-    /// Recorded intensity (0–255).
+    /// Recorded intensity (0–255), 0 if unknown; skeletons do not use it.
     pub intensity: f32,
     /// Beam number, or the device if [`Sweep::devices`].
     pub ring: u16,

@@ -89,7 +89,6 @@ pub(crate) fn marked(head: &[u8]) -> Option<&'static str> {
 }
 
 /// Returns whether the first bytes are a mark that is so long that other data hardly begin with it.
-#[cfg(any(feature = "nuscenes", feature = "nuplan", feature = "av2"))]
 pub(crate) fn has_long_mark(head: &[u8]) -> bool {
     const LONG: usize = 6;
     MAGIC.iter().any(|(magic, _)| magic.len() >= LONG && head.starts_with(magic))

@@ -13,10 +13,8 @@ pub(in super::super) enum Fault {
     /// Fewer than two different points, or a point that is no position.
     NoLength,
     /// A reference to a record that does not exist.
-    #[cfg_attr(not(any(feature = "nuscenes", feature = "nuplan")), expect(dead_code))]
     Dangling,
     /// The identifier of an earlier record.
-    #[cfg_attr(not(feature = "nuscenes"), expect(dead_code))]
     Twice,
 }
 

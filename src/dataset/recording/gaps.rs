@@ -53,14 +53,12 @@ pub enum GapPlace {
 
 impl Gap {
     /// Creates a gap in a table.
-    #[cfg(any(feature = "nuscenes", feature = "nuplan", feature = "av2"))]
     pub(in super::super) fn record(kind: &'static str, record: impl Into<String>, path: &Path) -> Self {
         Self { kind, place: GapPlace::Record { record: record.into(), path: path.to_owned() } }
     }
 
     /// Creates the gap of a record `by` whose reference to another table leads nowhere; `path` is the file of
     /// that table.
-    #[cfg(any(feature = "nuscenes", feature = "nuplan"))]
     pub(in super::super) fn dangling(
         kind: &'static str,
         by: &str,
@@ -72,7 +70,6 @@ impl Gap {
     }
 
     /// Creates the gap of a file that does not exist.
-    #[cfg(any(feature = "nuscenes", feature = "nuplan", feature = "av2"))]
     pub(in super::super) fn missing(kind: &'static str, path: PathBuf) -> Self {
         Self { kind, place: GapPlace::File(path) }
     }

@@ -1,10 +1,8 @@
-#[cfg(any(feature = "nuscenes", feature = "nuplan", feature = "av2"))]
 pub(super) mod degenerate;
 pub(super) mod ego_jumps;
 pub(super) mod ego_track;
 pub(super) mod fingerprint;
 pub(super) mod gaps;
-#[cfg(any(feature = "nuscenes", feature = "nuplan", feature = "av2"))]
 pub(super) mod notes;
 
 use std::borrow::Cow;

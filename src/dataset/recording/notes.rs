@@ -17,10 +17,8 @@ pub(in super::super) const FLAT_BOX: &str = "boxes without a size";
 /// Kind of a gap: a frame to which no sweep belongs.
 pub(in super::super) const NO_SWEEP: &str = "frames without a LiDAR sweep of their own";
 /// Kind of a gap: a sweep or an image whose pose, sensor or calibration is missing.
-#[cfg(any(feature = "nuscenes", feature = "nuplan"))]
 pub(in super::super) const DANGLING_DATA: &str = "sweeps and images that refer to a missing record";
 /// Kind of a gap: a box whose track or category is missing.
-#[cfg(any(feature = "nuscenes", feature = "nuplan"))]
 pub(in super::super) const DANGLING_BOX: &str = "boxes that refer to a missing record";
 /// Kind of a gap: a log of the test split, for instance.
 pub(in super::super) const NO_ANNOTATIONS: &str = "logs without annotations";
@@ -91,7 +89,6 @@ fn missing_files(log: &Recording) -> Vec<Gap> {
 }
 
 /// Kind of the boxes whose stated number of points is not a number.
-#[cfg(any(feature = "nuscenes", feature = "av2"))]
 pub(in super::super) const UNKNOWN_POINTS: &str = "boxes with an unknown number of LiDAR points";
 
 /// Counts boxes whose category has an unknown name.

@@ -6,11 +6,9 @@ use crate::files::sniff;
 const COORDINATES_M: std::ops::Range<f32> = 1e-5..1e4;
 
 /// Maximum length of a PCD header, bytes; real headers take a few hundred.
-#[cfg(any(feature = "nuscenes", feature = "nuplan"))]
 pub(super) const MAX_HEADER_BYTES: u64 = 1 << 16;
 
 /// Returns whether a file begins with a PCD header.
-#[cfg(any(feature = "nuscenes", feature = "nuplan"))]
 pub(in crate::dataset) fn is_pcd(bytes: &[u8]) -> bool {
     // Comments of any length precede the first line.
     let head = &bytes[..bytes.len().min(MAX_HEADER_BYTES as usize)];
@@ -21,7 +19,6 @@ pub(in crate::dataset) fn is_pcd(bytes: &[u8]) -> bool {
 }
 
 /// Returns whether the first line is the comment with which PCD files begin.
-#[cfg(any(feature = "nuscenes", feature = "nuplan"))]
 fn is_pcd_comment(head: &[u8]) -> bool {
     let line = head.split(|byte| *byte == b'\n').next().unwrap_or_default();
     line.to_ascii_uppercase().starts_with(b"# .PCD")
@@ -74,7 +71,6 @@ mod tests {
     }
 
     #[test]
-    #[cfg(any(feature = "nuscenes", feature = "nuplan"))]
     fn pcd_headers_are_recognized_with_any_comments() {
         let long = format!("# {}\nVERSION 0.7\n", "x".repeat(3000));
         for text in [

@@ -6,31 +6,20 @@
 //! is not a number means. `devices` judges whether the numbers of a column are beams or merged LiDARs, and
 //! `decision` decides for a log.
 
-#[cfg(any(feature = "nuscenes", feature = "nuplan"))]
 mod decision;
 mod devices;
 mod format;
-#[cfg(feature = "nuscenes")]
 mod layout;
-#[cfg(any(feature = "nuscenes", feature = "nuplan"))]
 mod lzf;
-#[cfg(feature = "nuscenes")]
 mod multiples;
-#[cfg(any(feature = "nuscenes", feature = "nuplan"))]
 pub(super) mod pcd;
-#[cfg(any(feature = "nuscenes", feature = "nuplan"))]
 mod pcd_header;
 mod rows;
-#[cfg(feature = "nuscenes")]
 mod sample;
 
-#[cfg(any(feature = "nuscenes", feature = "nuplan"))]
 pub(super) use decision::RingDecision;
-#[cfg(any(feature = "nuscenes", feature = "nuplan"))]
 pub(super) use format::is_pcd;
 pub(super) use format::named_format;
-#[cfg(feature = "nuscenes")]
 pub(super) use layout::columns;
 pub(super) use rows::{SweepRow, SweepRows};
-#[cfg(feature = "nuscenes")]
 pub(super) use sample::ReadAt;

@@ -197,13 +197,13 @@ impl TrainArgs {
 
     /// Returns the command that determines the weights, without output paths and interruptions.
     fn command(&self) -> String {
-        let Self { logs, config, variants, no_augment, seed, steps, batch, weights, hold_out, .. } = self;
+        let Self { logs, config, variants, no_augment, seed, steps, batch, weights, held_out, .. } = self;
         let logs = logs.iter().map(LogLocator::to_string).collect::<Vec<_>>().join(" ");
         let config = config.as_ref().map_or(String::new(), |path| format!(" --config {}", path.display()));
         let weights = weights.as_ref().map_or(String::new(), |weights| {
             format!(" --weights {}", weights.iter().map(f64::to_string).collect::<Vec<_>>().join(","))
         });
-        let held = hold_out.map_or(String::new(), |every| format!(" --hold-out {every}"));
+        let held = held_out.hold_out.map_or(String::new(), |every| format!(" --hold-out {every}"));
         let plain = if *no_augment { " --no-augment" } else { "" };
         format!(
             "pskel train {logs}{weights}{held}{config} --variants {variants}{plain} --seed {seed} --steps \

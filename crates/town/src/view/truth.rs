@@ -4,7 +4,6 @@ use glam::{DAffine3, DMat3, DVec3};
 use image::RgbImage;
 use point_skeleton::geometry::View;
 use point_skeleton::raster::tiles::Tile;
-use rayon::prelude::*;
 
 use super::corners::Corners;
 use super::lens::NEAR_M;
@@ -43,7 +42,8 @@ impl GroundTruthView {
         }
     }
 
-    /// Writes the data of a tile into the view.
+    /// Writes the data of a tile into the view. In one thread: it is called with the renderer locked, and a
+    /// thread of the pool that waits for others may take over a job that waits for this renderer.
     pub(super) fn fill(&mut self, tile: &Tile, read: &Read<'_>, scene: &Scene<'_>) {
         let (left, width) = (tile.origin[0] as usize, self.image.width() as usize);
         let (columns, rows) = (tile.size[0] as usize, tile.size[1] as usize);
@@ -51,10 +51,10 @@ impl GroundTruthView {
         let part = first..first + rows * width;
         let image: &mut [u8] = &mut self.image;
         let lines = self.depth_m[part.clone()]
-            .par_chunks_mut(width)
-            .zip(self.class[part.clone()].par_chunks_mut(width))
-            .zip(self.instance[part.clone()].par_chunks_mut(width))
-            .zip(image[3 * first..].par_chunks_mut(3 * width));
+            .chunks_mut(width)
+            .zip(self.class[part.clone()].chunks_mut(width))
+            .zip(self.instance[part.clone()].chunks_mut(width))
+            .zip(image[3 * first..].chunks_mut(3 * width));
         lines.enumerate().for_each(|(row, (((depth_m, class), instance), rgb))| {
             let y = f64::from(tile.origin[1]) + row as f64 + 0.5;
             let from = row * columns..(row + 1) * columns;

@@ -15,6 +15,7 @@ use pskel_testing::shared::{WithLog, skeleton_of};
 use pskel_testing::synthetic_town::{self, FRAMES, OPTIONS, town};
 use pskel_testing::tiny_log::tree;
 use pskel_town::{Daylight, Town, TownOptions};
+use rayon::prelude::*;
 
 fn views(town: &Town, frame: usize) -> Vec<View> {
     let state = state_of_frame(town.recording(), frame, EgoOffset::default()).unwrap();
@@ -364,4 +365,23 @@ fn points_in_boxes(
         }
     }
     counts
+}
+
+/// Threads of the pool that wait for the renderer do not keep its owner from finishing.
+#[test]
+fn images_are_rendered_from_any_thread() {
+    let (done, all_done) = std::sync::mpsc::channel();
+    std::thread::spawn(move || {
+        let town = Town::new(&OPTIONS).unwrap();
+        let record = &town.recording().frames[0].images[0];
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(2).build().unwrap();
+        let images = pool.broadcast(|_| {
+            let images = || (0..4).into_par_iter().map(|_| town.read_image(record).unwrap()).collect();
+            let images: Vec<_> = images();
+            images
+        });
+        done.send(images.concat()).unwrap();
+    });
+    let images = all_done.recv_timeout(std::time::Duration::from_secs(300)).expect("a deadlock");
+    assert!(images.len() == 8 && images.iter().all(|image| *image == images[0]));
 }

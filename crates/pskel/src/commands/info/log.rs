@@ -28,10 +28,14 @@ pub(super) fn text(json: &Value) -> String {
     };
     let plain = |key: &str| json[key].as_str().unwrap_or_default();
     let number = |value: &Value| value.as_f64().map_or_else(|| "?".to_owned(), |v| format!("{v:.1}"));
-    line("log", format!("{} ({}) {}", plain("name"), plain("location"), plain("description")));
+    let location = Some(plain("location")).filter(|location| !location.is_empty());
+    let location = location.map_or(String::new(), |location| format!("({location})"));
+    let parts = [plain("name"), &location, plain("description")];
+    line("log", parts.into_iter().filter(|part| !part.is_empty()).collect::<Vec<_>>().join(" "));
     let (seconds, rate) = (number(&json["seconds"]), number(&json["frame_rate_hz"]));
     line("frames", format!("{} over {seconds} s at {rate} Hz", json["frames"]));
-    let points = json["points"].as_u64().map_or("made when read".to_owned(), |n| format!("with {n} points"));
+    let points =
+        json["points"].as_u64().map_or("generated when read".to_owned(), |n| format!("with {n} points"));
     line("sweeps", format!("{} {points}", json["sweeps"]));
     for camera in json["cameras"].as_array().into_iter().flatten() {
         let (name, size) = (camera["name"].as_str().unwrap_or("?"), camera["size"].as_str().unwrap_or("?"));

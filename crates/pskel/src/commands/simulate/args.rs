@@ -1,3 +1,4 @@
+#[cfg(feature = "mcap")]
 use std::path::PathBuf;
 use std::sync::Arc;
 
