@@ -13,7 +13,7 @@ const BUILD: &str = "build nuscenes:log --out out";
 const RENDER: &str = "render nuscenes:log --skeleton sk --out out --maps depth --rasterizer cpu";
 const SIMULATE: &str =
     "simulate nuscenes:log --skeleton sk --out out --maps depth --rasterizer cpu --steps 1";
-const TOWN: &str = "town seed=5,frames=2,size=57x100 --out out";
+const TOWN: &str = "town seed=5,frames=1,size=57x100 --out out";
 const TEMPLATES: &str = "templates sk --min-points 1 --out out";
 const CONVERT: &str = "convert sk --out out";
 const EXPORT: &str =
@@ -153,7 +153,7 @@ fn folders_of_an_image_layer_are_replaced() {
         (SIMULATE, SIMULATE),
         (CONVERT, "convert sk --format ply --out out"),
         (TEMPLATES, "templates sk --min-points 1 --target-points 50 --out out"),
-        (TOWN, "town seed=5,frames=2,size=28x50 --out out"),
+        (TOWN, "town seed=5,frames=1,size=28x50 --out out"),
     ] {
         let log = ready();
         // What is in a folder of maps besides the frames of a run stays there.

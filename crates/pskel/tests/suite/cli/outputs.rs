@@ -18,11 +18,11 @@ const SIMULATE: &str =
 const EXTERNAL: &str = "simulate nuscenes:log --skeleton sk --out out --maps depth --rasterizer cpu --steps \
     20 \
     --ego external --planner ./planner.sh --planner-timeout 600";
-const TOWN: &str = "town seed=5,frames=2,size=57x100 --out out";
+const TOWN: &str = "town seed=5,frames=1,size=57x100 --out out";
 const TEMPLATES: &str = "templates sk --min-points 1 --out out";
 const CONVERT: &str = "convert sk --out out";
 const TRAIN: &str =
-    "train town:seed=5,frames=5,size=57x100 --variants 1 --batch 1 --config net.json --steps 1 --out out";
+    "train town:seed=5,frames=3,size=28x50 --variants 1 --batch 1 --config net.json --steps 1 --out out";
 const NETWORK: &str = r#"{"recipe": {"drawn": "32x64", "size": "16x32"}, "frames": 2, "width": 32, "head": 16,
     "hidden": 32, "blocks": ["s", "t"]}"#;
 

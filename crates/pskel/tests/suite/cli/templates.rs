@@ -186,7 +186,7 @@ fn damaged_libraries_are_errors_that_leave_nothing() {
     log.fail(RENDER, 1, &["cannot read", "templates.points"]);
     log.fail(&RENDER.replace("--templates t", "--templates nowhere"), 1, &["nowhere/templates.json"]);
     for (extra, part) in [
-        ("--augment=x", "invalid digit"),
+        ("--augment=x", "SEED,share=S,color_only"),
         ("--augment=share", "SEED,share=S,color_only"),
         ("--augment=share=1.5", "a share from 0 to 1"),
     ] {
