@@ -12,7 +12,7 @@
 //!     let log = Log::open("/data/nuscenes#scene-0061")?;
 //!     let skeleton = Skeleton::build(&log, "out/skeleton", &Default::default())?;
 //!     let mut renderer = Renderer::new(&skeleton, RenderOptions::default())?;
-//!     let offset = EgoOffset { left_m: -2.0, yaw_deg: 5.0, ..Default::default() };
+//!     let offset = EgoOffset { left_m: 2.0, yaw_deg: 5.0, ..Default::default() };
 //!     for frame in log.frames() {
 //!         let maps = renderer.render(&frame.moved(offset))?;
 //!         maps.write(format!("out/maps/{}", frame.name))?;

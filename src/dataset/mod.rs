@@ -9,8 +9,8 @@
 //!   (rows and PCD files to points), `limits` (numbers that readers accept), `clock` (units of times);
 //! - skipped parts: `Notes` counts what is left out, a [`Gap`] names a missing part, and
 //!   `settle`, the last step of each reader, applies [`MissingData`] to both;
-//! - values: `CategoryKind` (words of data sets), `Cuboid::unless_flat`, [`RigCamera`] in the order around the
-//!   vehicle, which is the order of maps.
+//! - values: `CategoryKind` (words of data sets), `Cuboid::unless_flat`, [`RigCamera`] in the order around
+//!   the vehicle, which is the order of maps.
 //!
 //! A [`Recording`] has frames in order of time, tracks in order of their names, at most one image of a camera
 //! per frame, and the frame's own sweep before others.

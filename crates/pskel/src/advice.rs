@@ -30,6 +30,11 @@ fn of_cause(cause: &(dyn Error + 'static)) -> Option<&'static str> {
             .contains(DataRoot::BELOW)
             .then_some("--allow-outside permits paths outside the folder");
     }
+    if let Some(FileError::Io { path, .. }) = cause.downcast_ref()
+        && path.file_name().is_some_and(|name| name == "skeleton.json")
+    {
+        return Some("`pskel build LOG --out DIR` writes a skeleton");
+    }
     match cause.downcast_ref()? {
         RasterError::Gpu(GpuError::NoLoader { .. } | GpuError::NoDevice { .. }) => {
             Some("--rasterizer cpu needs no Vulkan")
@@ -55,6 +60,9 @@ mod tests {
             FileError::content(format!("{} as filename", DataRoot::BELOW), "..", Path::new("a.json"));
         let error = Err::<(), _>(DatasetError::from(outside)).context("log a").unwrap_err();
         assert!(advice(&error).unwrap().starts_with("--allow-outside "));
+        let missing =
+            FileError::io("read", Path::new("sk/skeleton.json"))(std::io::ErrorKind::NotFound.into());
+        assert!(advice(&missing.into()).unwrap().starts_with("`pskel build LOG"));
         let none = GpuError::NoDevice { found: "none".into() };
         let none = point_skeleton::Error::from(RasterError::from(none));
         assert!(advice(&none.into()).unwrap().starts_with("--rasterizer cpu "));

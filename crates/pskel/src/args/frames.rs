@@ -33,8 +33,8 @@ impl FrameArgs {
 /// Rate of samples.
 #[derive(Clone, Copy, Debug, Default, Args)]
 pub(crate) struct RateArgs {
-    /// Use this rate (0.1 to 100 per second) from the first to the last of the frames, instead of the frames;
-    /// ego and actors are interpolated
+    /// Sample at this rate (0.1 to 100 per second) over the time of the selected frames, instead of at the
+    /// frames themselves; ego and actors are interpolated
     #[arg(long, value_name = "F", value_parser = numbers::rate_hz, allow_negative_numbers = true)]
     pub(crate) hz: Option<f64>,
 }
@@ -51,7 +51,7 @@ pub(crate) struct HoldOutArgs {
 /// Displacement of the ego.
 #[derive(Clone, Copy, Debug, Default, Args)]
 pub(crate) struct MovedEgoArgs {
-    /// Move the ego in its own frame, like forward_m=1,left_m=-2,yaw_deg=5: meters forward and to the left,
+    /// Move the ego in its own frame, like forward_m=1,left_m=2,yaw_deg=5: meters forward and to the left,
     /// degrees to the left
     #[arg(long, value_name = "left_m=M,..")]
     pub(crate) ego_offset: Option<EgoOffset>,

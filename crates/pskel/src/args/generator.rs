@@ -39,7 +39,8 @@ pub(crate) struct GeneratorArgs {
     /// network was trained with; 4 for a process]
     #[arg(long, value_name = "L")]
     window: Option<usize>,
-    /// Inference steps, T; with rolling strategies a multiple of L - C [default: L - C]
+    /// Inference steps, T; with rolling strategies a multiple of L - C, where C are the clean frames of
+    /// --strategy [default: L - C]
     #[arg(long, value_name = "T")]
     infer_steps: Option<usize>,
     /// Scale of classifier-free guidance; 1 disables it, other values evaluate the network twice [default: 1]

@@ -32,7 +32,8 @@ pub(crate) struct LogRoots {
     /// fail with the first
     #[arg(long, help_heading = READING, value_parser = names::<MissingData>(), default_value = "skip")]
     missing: MissingData,
-    /// What the ring numbers of sweeps are. Points of other LiDARs than number 0 on moving actors are dropped
+    /// What the ring numbers in sweeps count: the beams of one LiDAR, or the LiDARs of a merged sweep. Of
+    /// merged LiDARs, moving actors keep only the points of LiDAR 0, whose scan matches their boxes
     #[arg(long, help_heading = READING, value_name = "MEANING")]
     #[arg(value_parser = names::<RingMeaning>(), default_value = "auto")]
     ring_is: RingMeaning,

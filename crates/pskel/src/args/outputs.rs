@@ -11,7 +11,7 @@ use crate::WrongUsage;
 /// An output folder.
 #[derive(Clone, Debug, Args)]
 pub(crate) struct FolderArgs {
-    /// Folder to write: a new or empty one, or one that the same command wrote
+    /// Folder to write: a new or empty one, or one with an earlier result of this command, which is replaced
     #[arg(long, value_name = "DIR", value_parser = output_folder())]
     pub(crate) out: PathBuf,
 }

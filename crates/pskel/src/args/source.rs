@@ -16,7 +16,7 @@ use crate::warn;
 /// A recording and its skeleton.
 #[derive(Clone, Debug, Args)]
 pub(crate) struct SourceArgs {
-    /// Recording: FORMAT:PATH[@VERSION][#SCENE], like nuscenes:/data/nuscenes@v1.0-mini#scene-0061
+    /// Recording: [FORMAT:]PATH[@VERSION][#SCENE], like /data/nuscenes#scene-0061
     #[arg(value_parser = log::log)]
     pub(crate) log: LogLocator,
     /// Skeleton that was built from the recording

@@ -32,7 +32,7 @@ use crate::{WrongUsage, print_notes, print_result, warn};
 /// folder SKEL.partial holds the finished part; after an interruption, --resume continues it.
 #[derive(Debug, Args)]
 pub(crate) struct BuildArgs {
-    /// Recording: FORMAT:PATH[@VERSION][#SCENE], like nuscenes:/data/nuscenes@v1.0-mini#scene-0061; several
+    /// Recording: [FORMAT:]PATH[@VERSION][#SCENE], like /data/nuscenes#scene-0061; several
     /// recordings of one place share a background
     #[arg(value_name = "LOG", required = true, value_parser = log::log)]
     logs: Vec<LogLocator>,

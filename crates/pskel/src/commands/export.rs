@@ -32,8 +32,8 @@ use crate::{WrongUsage, print_progress, print_result};
 /// exported all the same. See docs/src/guide/export.md.
 #[derive(Debug, Args)]
 pub(crate) struct ExportArgs {
-    /// Recordings: FORMAT:PATH[@VERSION][#SCENE]; "#*" is every scene of a nuScenes version, and a folder of
-    /// nuPlan or Argoverse 2 logs is all of them
+    /// Recordings: [FORMAT:]PATH[@VERSION][#SCENE]; "#*" is every scene of a nuScenes version, and a folder
+    /// of nuPlan or Argoverse 2 logs is all of them
     #[arg(value_name = "LOG", required = true, value_parser = log::log)]
     logs: Vec<LogLocator>,
     /// Layout of the files

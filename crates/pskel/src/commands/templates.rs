@@ -28,8 +28,8 @@ use crate::progress::{Progress, StageProgress};
 /// `render --templates` use the folder.
 #[derive(Debug, Args)]
 pub(crate) struct TemplatesArgs {
-    /// Recordings (FORMAT:PATH[@VERSION][#SCENE]) or folders of skeletons that were built from them, which is
-    /// faster
+    /// Recordings ([FORMAT:]PATH[@VERSION][#SCENE]) or folders of skeletons that were built from them, which
+    /// is faster
     #[arg(required = true, value_name = "LOG|SKELETON")]
     targets: Vec<Target>,
     #[command(flatten)]

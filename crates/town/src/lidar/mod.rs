@@ -90,7 +90,8 @@ impl Lidar {
 }
 
 impl Scanner {
-    /// Creates a scanner. In one thread: it is called by the first of several jobs, for which the others wait.
+    /// Creates a scanner. In one thread: it is called by the first of several jobs, for which the others
+    /// wait.
     pub(super) fn new(static_meshes: &[Mesh], bodies: &BTreeMap<(Body, usize), Mesh>) -> Self {
         let bodies = bodies.iter().map(|(key, mesh)| (*key, Solid::new([mesh]))).collect();
         Self { static_meshes: Solid::new(static_meshes), bodies }

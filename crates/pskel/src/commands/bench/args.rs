@@ -25,7 +25,7 @@ use crate::{WrongUsage, logs, print_notes, print_progress, warn};
 #[derive(Debug, Args)]
 #[command(mut_arg("frames", |arg| arg.requires("log")))]
 pub(crate) struct BenchArgs {
-    /// Recording whose frames are rendered in turn: FORMAT:PATH[@VERSION][#SCENE], like
+    /// Recording whose frames are rendered in turn: [FORMAT:]PATH[@VERSION][#SCENE], like
     /// nuscenes:/data/nuscenes#scene-0061
     #[arg(value_parser = log::log, requires = "skeleton")]
     #[arg(conflicts_with_all = ["synthetic", "points", "cameras"])]

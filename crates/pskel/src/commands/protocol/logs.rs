@@ -8,7 +8,7 @@ use crate::args::source::SkeletonsArgs;
 /// Logs of a protocol, and its folders.
 #[derive(Debug, Args)]
 pub(super) struct ProtocolLogs {
-    /// Recordings: FORMAT:PATH[@VERSION][#SCENE]; of sets, like nuscenes:ROOT@v1.0-trainval#* or
+    /// Recordings: [FORMAT:]PATH[@VERSION][#SCENE]; of sets, like nuscenes:ROOT@v1.0-trainval#* or
     /// nuplan-simgen:FOLDER, those of the protocol
     #[arg(value_name = "LOG", required = true, value_parser = log::log)]
     logs: Vec<LogLocator>,

@@ -16,6 +16,9 @@ use crate::args::rasterizer::RasterizerArgs;
 use crate::args::source::SourceArgs;
 use crate::args::substitutes::SubstituteArgs;
 
+/// Help of `--out`.
+const OUT: &str = "Folder to write; frames of an earlier run in it are replaced one by one";
+
 /// Render condition maps of a recording's frames from its skeleton: color, depth, class, instance, boxes, map
 ///
 /// Writes FRAME/CAM/MAP.png or .exr, or FRAME/maps.npz or conditions.safetensors (arrays V,H,W(,3) named like
@@ -23,6 +26,7 @@ use crate::args::substitutes::SubstituteArgs;
 /// FRAME/meta.json with poses and intrinsics; FRAME/sheet.png, a contact sheet of all maps; finally
 /// index.json. FRAME is the six-digit frame number, or the time with --at and --hz.
 #[derive(Debug, Args)]
+#[command(mut_arg("out", |arg| arg.help(OUT)))]
 pub(crate) struct RenderArgs {
     #[command(flatten)]
     pub(super) source: SourceArgs,

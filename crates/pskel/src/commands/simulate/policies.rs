@@ -12,7 +12,7 @@ use crate::args::numbers;
 #[derive(Debug, Args)]
 #[command(next_help_heading = "Policies")]
 pub(super) struct PolicyArgs {
-    /// Policy of the ego after the warm-up
+    /// Policy of the ego after the warm-up. lane_change needs about 5 s at 10 m/s
     #[arg(long, value_name = "POLICY", default_value_t = EgoKind::Replay)]
     #[arg(value_parser = names_of(EgoKind::OF_COMMAND))]
     pub(super) ego: EgoKind,
@@ -42,8 +42,9 @@ pub(super) struct PolicyArgs {
     /// logs]
     #[arg(long, value_name = "F", value_parser = numbers::rate_hz, allow_negative_numbers = true)]
     pub(super) plan_hz: Option<f64>,
-    /// Warm-up in frames of a generator's window, one per planning step: the first (N - 1) * SIM_HZ / PLAN_HZ
-    /// steps follow the log [default: 1; with --generator its window]
+    /// Warm-up: the ego and all actors follow the log until planning step N - 1, that is for the first
+    /// (N - 1) * SIM_HZ / PLAN_HZ steps [default: 1; with --generator its window, whose other frames are
+    /// references]
     #[arg(long, value_name = "N")]
     pub(super) warmup: Option<usize>,
     /// Seed that is passed to planners
