@@ -130,7 +130,7 @@ def make_street(peers, work, points):
     if all(file.is_file() for file in files):
         say(f"street of an earlier run: {folder}")
     else:
-        say(f"making a street of {points} points: {folder}")
+        say(f"generating a street of {points} points: {folder}")
         shutil.rmtree(folder, ignore_errors=True)
         new = work / f"street-{points}.new"
         shutil.rmtree(new, ignore_errors=True)

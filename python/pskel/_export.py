@@ -90,7 +90,7 @@ def export(
     templates: str | PathLike[str] | None = None,
     default_templates: bool = True,
     augment: int | None = None,
-    augment_share: float = 0.5,
+    augment_share: float | None = None,
     augment_color_only: bool = False,
     rasterizer: str = "auto",
     device: str | int | None = None,
@@ -184,8 +184,8 @@ def export(
         one.
     augment : int, optional
         Seed for degrading a share of the assets as in training. By default none is degraded.
-    augment_share : float
-        Share of the assets that ``augment`` degrades, 0 to 1.
+    augment_share : float, optional
+        Share of the assets that ``augment`` degrades, 0 to 1. By default 0.8.
     augment_color_only : bool
         With ``augment``, whether all maps but color stay unchanged.
     rasterizer : {"auto", "compute", "graphics", "cpu"}

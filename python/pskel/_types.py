@@ -50,7 +50,7 @@ class RenderKeywords(TypedDict, total=False):
     templates: str | PathLike[str] | None
     default_templates: bool
     augment: int | None
-    augment_share: float
+    augment_share: float | None
     augment_color_only: bool
     rasterizer: str
     device: str | int | None
@@ -97,7 +97,7 @@ class ExportKeywords(TypedDict, total=False):
     templates: str | PathLike[str] | None
     default_templates: bool
     augment: int | None
-    augment_share: float
+    augment_share: float | None
     augment_color_only: bool
     rasterizer: str
     device: str | int | None

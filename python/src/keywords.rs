@@ -199,16 +199,21 @@ impl<'py> Keywords<'_, 'py> {
     pub(crate) fn substitutes(self) -> PyResult<SubstituteOptions> {
         let default = AugmentOptions::default();
         let share = self.number("augment_share", "of 0 to 1", |share| (0.0..=1.0).contains(&share))?;
-        let (share, color_only) = (share.unwrap_or(default.share), self.get("augment_color_only")?);
+        let color_only = self.get("augment_color_only")?;
         let seed: Option<u64> = self.get("augment")?;
-        if seed.is_none() && (color_only || share != default.share) {
+        if seed.is_none() && (color_only || share.is_some()) {
             let message = "expected augment with augment_share and augment_color_only, found None";
             return Err(PyValueError::new_err(message));
         }
         Ok(SubstituteOptions {
             library: self.get("templates")?,
             use_default: self.get("default_templates")?,
-            augment: seed.map(|seed| AugmentOptions { seed, share, color_only, ..default }),
+            augment: seed.map(|seed| AugmentOptions {
+                seed,
+                share: share.unwrap_or(default.share),
+                color_only,
+                ..default
+            }),
         })
     }
 

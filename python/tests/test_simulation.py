@@ -99,7 +99,7 @@ def test_bad_plans_are_rejected_and_change_nothing(drive: pskel.Log) -> None:
         simulation.step()
     assert simulation.save() == before
     simulation.act(good)
-    with pytest.raises(ValueError, match="expected no plan for step 0, which has one"):
+    with pytest.raises(ValueError, match="unexpected plan for step 0: it has one"):
         simulation.act(good)
     assert simulation.step() and simulation.index == 1
 

@@ -19,7 +19,7 @@ pub(crate) struct SubstituteArgs {
     no_default_templates: bool,
     /// Augment assets as in training: a share of them is degraded, half of these thinned to 5 to 80 % of
     /// their points, half reduced to the points seen by one camera; the choice depends on the seed and the
-    /// track. SEED is 0 by default, share 0.5; with color_only, only color shows the degraded assets
+    /// track. SEED is 0 by default, share 0.8; with color_only, only color shows the degraded assets
     #[arg(long, value_name = "SEED,share=S,color_only", num_args = 0..=1, require_equals = true)]
     #[arg(default_missing_value = "", value_parser = augment)]
     augment: Option<AugmentOptions>,
