@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import posixpath
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -71,7 +72,9 @@ def _fetch_nuscenes(system: Any, root: str, rest: str, folder: Path, sensors: bo
             _copy(system, _find(system, path), base, folder)
     if sensors:
         local = folder / posixpath.basename(root)
-        opened = Log(f"nuscenes:{local}{rest}")
+        with warnings.catch_warnings():  # no sweep or image is here yet
+            warnings.simplefilter("ignore")
+            opened = Log(f"nuscenes:{local}{rest}")
         below = [f"{root}/{Path(path).relative_to(local).as_posix()}" for path in opened.files]
         _copy(system, below, base, folder)
 
@@ -87,7 +90,10 @@ def _copy(system: Any, paths: list[str], base: str, folder: Path) -> None:
             continue
         target.parent.mkdir(parents=True, exist_ok=True)
         partial = target.with_name(target.name + ".part")
-        system.get_file(path, str(partial))
+        try:
+            system.get_file(path, str(partial))
+        except FileNotFoundError:  # readers count what the log names and does not have
+            continue
         partial.replace(target)
 
 

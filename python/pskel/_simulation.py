@@ -18,7 +18,7 @@ class Simulation(_pskel.Simulation):
     ----------
     log : Log
         Log to start from.
-    ego : {"caller", "replay", "straight", "right_then_back", "cosine", "lane_change", "file", "external"}
+    ego : {"replay", "straight", "right_then_back", "cosine", "lane_change", "file", "external", "caller"}
         Policy of the ego after the warm-up: plans of ``act`` (caller), the recorded path (replay), a preset, the points of
         ``trajectory`` (file), or plans of ``planner`` (external). Only replay ends with the log.
     trajectory : path, optional

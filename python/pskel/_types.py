@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from os import PathLike
 from typing import TypedDict
 
@@ -32,8 +32,8 @@ Maps = TypedDict(
 """
 
 
-class RenderKeywords(TypedDict, total=False):
-    """Keyword arguments of ``pskel.Renderer`` besides ``maps``, ``out_size`` and ``log``."""
+class _MapKeywords(TypedDict, total=False):
+    """Keyword arguments of every function that renders maps, besides augmentation."""
 
     size: Sequence[int] | None
     splat: str | None
@@ -49,17 +49,19 @@ class RenderKeywords(TypedDict, total=False):
     min_actor_points: int
     templates: str | PathLike[str] | None
     default_templates: bool
-    augment: int | None
-    augment_share: float | None
-    augment_color_only: bool
     rasterizer: str
     device: str | int | None
     gpu_memory: int | None
     no_occlusion_culling: bool
+
+
+class RenderKeywords(_MapKeywords, total=False):
+    """Keyword arguments of ``pskel.Renderer`` that datasets of clips pass on."""
+
     distort: bool
 
 
-class ExportKeywords(TypedDict, total=False):
+class ExportKeywords(_MapKeywords, total=False):
     """Keyword arguments of ``pskel.export`` besides ``layout``, ``skeletons`` and ``progress``."""
 
     only: tuple[int, int] | None
@@ -81,25 +83,14 @@ class ExportKeywords(TypedDict, total=False):
     ring_is: str
     image_distortion: str
     maps: Sequence[str] | None
-    size: Sequence[int] | None
     out_size: Sequence[int] | None
-    splat: str | None
-    radius: float
-    depth_bins: str
-    depth_embedding: str
-    far: float | None
-    occlusion: str
-    template_fit: str
-    color_filter: str
-    line_width: str
-    map_layers: str
-    min_actor_points: int
-    templates: str | PathLike[str] | None
-    default_templates: bool
     augment: int | None
     augment_share: float | None
     augment_color_only: bool
-    rasterizer: str
-    device: str | int | None
-    gpu_memory: int | None
-    no_occlusion_culling: bool
+
+
+def check_names(given: Mapping[str, object], known: type) -> None:
+    """Raise ``TypeError`` for keyword arguments that a ``TypedDict`` does not have."""
+    names = sorted(known.__annotations__)
+    if unknown := sorted(set(given) - set(names)):
+        raise TypeError(f"expected the options {', '.join(names)}, found {', '.join(unknown)}")

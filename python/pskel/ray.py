@@ -28,7 +28,7 @@ from . import _remote
 from ._build import progress_bar
 from ._export import ExportReport, defaults
 from ._pskel import Export
-from ._types import ExportKeywords
+from ._types import ExportKeywords, check_names
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
@@ -91,6 +91,7 @@ def export(
     report lists failed logs and shards.
     """
     logs = [logs] if isinstance(logs, str) else list(logs)
+    check_names(options, ExportKeywords)
     given = {**defaults(), **options, "layout": layout}
     return _export(logs, given, fspath(out), None if skeletons is None else fspath(skeletons), workers, num_cpus, num_gpus, retries, progress)
 

@@ -22,7 +22,7 @@ except ImportError as error:
     raise ImportError("pskel.torch needs PyTorch: pip install 'pskel[torch]'") from error
 
 from . import Log, Renderer, Scene, Skeleton
-from ._types import RenderKeywords
+from ._types import RenderKeywords, check_names
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
@@ -81,9 +81,7 @@ class _Clips:
             raise ValueError(f"expected every of 1 or more, found {every}")
         if hz is not None and not (math.isfinite(hz) and hz > 0):
             raise ValueError(f"expected hz above 0, found {hz}")
-        known = RenderKeywords.__annotations__
-        if unknown := sorted(set(renderer) - set(known)):
-            raise TypeError(f"expected the options {', '.join(sorted(known))}, found {', '.join(unknown)}")
+        check_names(renderer, RenderKeywords)
         pairs = [tuple(source) if not isinstance(source, str) else (source,) for source in sources]
         if wrong := [pair for pair in pairs if len(pair) != 2]:
             raise TypeError(f"expected pairs of a log and the folder of its skeleton, found {wrong[0]}")

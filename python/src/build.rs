@@ -69,10 +69,10 @@ fn inputs<'a>(logs: &'a [Arc<OwnedLog>], keywords: Keywords<'_, '_>) -> PyResult
 
 fn options(keywords: Keywords<'_, '_>) -> PyResult<BuildOptions> {
     let mut options = BuildOptions::of(keywords.named("coloring")?);
-    let is_voxel = |side: f64| side == 0.0 || (1e-4..=CHUNK_M).contains(&side);
     let expected = format!("of 0 m (keeps all points), or of 0.0001 to {CHUNK_M} m");
-    options.voxel_m = keywords.number("voxel", &expected, is_voxel)?.unwrap_or(options.voxel_m);
-    options.actor_voxel_m = keywords.number("actor_voxel", &expected, is_voxel)?;
+    options.voxel_m =
+        keywords.number("voxel", &expected, BuildOptions::is_voxel_m)?.unwrap_or(options.voxel_m);
+    options.actor_voxel_m = keywords.number("actor_voxel", &expected, BuildOptions::is_voxel_m)?;
     let margin_m = keywords.number("box_margin", "of 0 m or more", |margin| margin >= 0.0)?;
     options.split.margin_m = margin_m.unwrap_or(options.split.margin_m);
     options.between_sweeps = keywords.get("sweeps")?;

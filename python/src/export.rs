@@ -5,6 +5,7 @@ use point_skeleton::conditions::write::meta::PromptParts;
 use point_skeleton::dataset::LogOpener;
 use point_skeleton::error::with_causes;
 use point_skeleton::files::FileName;
+use point_skeleton::scene::RATES_HZ;
 use pskel_export::{
     ExportError, ExportJob, ExportOptions, ExportProgress, ListedExport, Part, SampleFormat, SampleTimes,
 };
@@ -41,8 +42,9 @@ impl Export {
             verify: keywords.get("verify")?,
             opener: LogOpener::new(),
         };
-        if job.jobs > 64 {
-            return Err(PyValueError::new_err(format!("expected jobs of 1 to 64, found {}", job.jobs)));
+        if job.jobs > ExportJob::MAX_JOBS {
+            let max = ExportJob::MAX_JOBS;
+            return Err(PyValueError::new_err(format!("expected jobs of 1 to {max}, found {}", job.jobs)));
         }
         let listed = detached(py, || job.list().map_err(failed))?;
         Ok(Self { job, listed })
@@ -126,7 +128,7 @@ fn options(keywords: Keywords<'_, '_>) -> PyResult<ExportOptions> {
 }
 
 fn times(keywords: Keywords<'_, '_>) -> PyResult<SampleTimes> {
-    let hz = keywords.number("hz", "of 0.1 to 100", |hz| (0.1..=100.0).contains(&hz))?;
+    let hz = keywords.number("hz", "of 0.1 to 100", |hz| RATES_HZ.contains(&hz))?;
     match (hz, keywords.get("between_images")?) {
         (Some(_), true) => Err(PyValueError::new_err("expected hz or between_images, found both")),
         (Some(hz), false) => Ok(SampleTimes::Rate { hz }),

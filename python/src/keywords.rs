@@ -142,7 +142,7 @@ impl<'py> Keywords<'_, 'py> {
 
     /// Returns the options for rendering maps: by default those of every log, and the map layout.
     pub(crate) fn conditions(self) -> PyResult<ConditionOptions> {
-        let is_distance = |value: f64| value as f32 > 0.0 && (value as f32).is_finite();
+        let is_distance = ConditionOptions::is_distance_m;
         let radius_m = self.number("radius", "above 0 m", is_distance)?.unwrap_or(100.0);
         let far_m = self.number("far", "above 0 m", is_distance)?;
         let splat = self.get::<Option<String>>("splat")?.map(|text| text.parse::<SplatSchedule>());

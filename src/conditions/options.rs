@@ -76,6 +76,12 @@ pub struct ConditionOptions {
 }
 
 impl ConditionOptions {
+    /// Returns whether a radius or the end of depth bins may be this distance: more than 0 and finite as
+    /// `f32`, meters.
+    pub fn is_distance_m(distance_m: f64) -> bool {
+        distance_m as f32 > 0.0 && (distance_m as f32).is_finite()
+    }
+
     /// Returns the view at render size ([`ConditionOptions::size`]), with scaled intrinsics.
     pub fn drawn_view(&self, view: &View) -> View {
         let camera =

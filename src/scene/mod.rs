@@ -16,6 +16,6 @@ pub use from_log::{
 pub use ground_truth::{GroundTruthError, GroundTruthImages};
 pub use map::{MapEdge, MapLayer, SceneMap};
 pub use selection::{SceneClouds, SceneInstances, SelectionOptions, TemplateFit};
-pub use sequence::{LogTimes, SceneSequence, SequenceError};
+pub use sequence::{LogTimes, RATES_HZ, SceneSequence, SequenceError};
 pub use state::{ActorState, SceneCamera, SceneState};
 pub use substitutes::{AugmentReport, SubstituteOptions, SubstituteReport, Substitutes, TemplateOrigin};

@@ -1,5 +1,5 @@
 use std::collections::BTreeMap;
-use std::ops::Range;
+use std::ops::{Range, RangeInclusive};
 use std::sync::Arc;
 
 use super::{
@@ -10,6 +10,9 @@ use crate::geometry::View;
 
 /// Maximum rate, per second: times are whole microseconds.
 const MAX_RATE_HZ: f64 = 1e6;
+
+/// Rates that options accept, per second.
+pub const RATES_HZ: RangeInclusive<f64> = 0.1..=100.0;
 
 /// Times of a log.
 #[derive(Clone, Debug, PartialEq)]

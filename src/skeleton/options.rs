@@ -1,6 +1,6 @@
 use serde::{Deserialize, Serialize};
 
-use super::SplitOptions;
+use super::{CHUNK_M, SplitOptions};
 use crate::{named, named_in_files};
 
 /// Options for building a skeleton.
@@ -61,6 +61,12 @@ impl Default for BuildOptions {
 }
 
 impl BuildOptions {
+    /// Returns whether a voxel may have this side: 0, which keeps all points, or a side that 21 bits can
+    /// count within a chunk and that is not larger than a chunk, meters.
+    pub fn is_voxel_m(side_m: f64) -> bool {
+        side_m == 0.0 || (1e-4..=CHUNK_M).contains(&side_m)
+    }
+
     /// Returns the defaults of a method of coloring.
     pub fn of(coloring: Coloring) -> Self {
         match coloring {

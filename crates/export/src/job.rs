@@ -44,6 +44,9 @@ pub struct ListedExport {
 }
 
 impl ExportJob {
+    /// Maximum number of logs that are exported at a time.
+    pub const MAX_JOBS: usize = 64;
+
     /// Lists the shards.
     ///
     /// # Errors

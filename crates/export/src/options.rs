@@ -92,7 +92,7 @@ impl SampleFormat {
             MapFormat::Safetensors if layout == Layout::Webdataset => return Ok(Self::Safetensors),
             other => other.name(),
         };
-        let expected = "--format png, or safetensors with --layout webdataset";
+        let expected = "the format png, or safetensors with the layout webdataset";
         Err(ExportError::Options { expected, found })
     }
 }
@@ -154,10 +154,10 @@ impl ExportOptions {
     pub fn check(&self) -> Result<(), ExportError> {
         let wrong = |expected, found| Err(ExportError::Options { expected, found });
         if self.layout == Layout::PasCache && matches!(self.times, SampleTimes::Rate { .. }) {
-            return wrong("no --hz with --layout pas-cache, whose files are named after images", "one");
+            return wrong("no rate with the layout pas-cache, whose files are named after images", "one");
         }
         if self.format == SampleFormat::Png && self.conditions.maps.contains(MapKind::Tensor) {
-            return wrong("--format npz or safetensors with --maps tensor", "png");
+            return wrong("the format safetensors, and the layout webdataset, for the map tensor", "png");
         }
         Ok(())
     }

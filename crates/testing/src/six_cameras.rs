@@ -18,7 +18,7 @@ use point_skeleton::dataset::{
 };
 use point_skeleton::geometry::{Camera, Cuboid, Pose};
 
-use crate::tiny_log::{camera_rotation, tree};
+use crate::tiny_log::{camera_rotation, tree, write_tree};
 
 pub const FRAMES: usize = 6;
 /// Folder of the written tables.
@@ -169,11 +169,7 @@ pub fn copy_to(folder: &Path, wanted: impl Fn(&str) -> bool) {
         write_log(folder.path(), VERSION, &SixCameras::new()).unwrap();
         tree(folder.path())
     });
-    for (name, bytes) in FILES.iter().filter(|(name, _)| wanted(name)) {
-        let path = folder.join(name);
-        std::fs::create_dir_all(path.parent().unwrap()).unwrap();
-        std::fs::write(path, bytes).unwrap();
-    }
+    write_tree(folder, FILES.iter().filter(|(name, _)| wanted(name)));
 }
 
 /// Writes all files to a folder and opens the log there.

@@ -9,7 +9,7 @@ use point_skeleton::dataset::LogLocator;
 use point_skeleton::dataset::nuscenes::{LogWriter, NuScenes};
 use pskel_town::{Town, TownOptions};
 
-use crate::tiny_log::tree;
+use crate::tiny_log::{tree, write_tree};
 
 pub const FRAMES: usize = 6;
 pub const OPTIONS: TownOptions = TownOptions {
@@ -51,11 +51,7 @@ pub fn written() -> &'static Written {
 
 /// Writes the files whose names are selected.
 pub fn copy_to(folder: &Path, wanted: impl Fn(&str) -> bool) {
-    for (name, bytes) in written().files.iter().filter(|(name, _)| wanted(name)) {
-        let path = folder.join(name);
-        std::fs::create_dir_all(path.parent().unwrap()).unwrap();
-        std::fs::write(path, bytes).unwrap();
-    }
+    write_tree(folder, written().files.iter().filter(|(name, _)| wanted(name)));
 }
 
 /// Writes all files to a folder and opens the log there.

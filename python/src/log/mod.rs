@@ -2,11 +2,11 @@ pub(super) mod owned;
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::ffi::CString;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use numpy::{PyArray1, PyArray4, PyArrayMethods};
-use point_skeleton::dataset::{LogLocator, LogOpener, ReadOptions, register};
+use point_skeleton::dataset::{Gap, LogLocator, LogOpener, ReadOptions, register};
 use point_skeleton::error::with_causes;
 use point_skeleton::geometry::View;
 use point_skeleton::scene::GroundTruthImages;
@@ -132,7 +132,7 @@ impl Log {
         self.inner.recording().frames.iter().map(|frame| frame.t_us).collect()
     }
 
-    /// Files of sweeps and images, each once, sorted.
+    /// Files of sweeps and images that the log names, each once, sorted, also missing ones.
     #[getter]
     fn files(&self) -> Vec<PathBuf> {
         let frames = self.inner.recording().frames.iter();
@@ -140,7 +140,9 @@ impl Log {
             let images = frame.images.iter().chain(&frame.between_images).map(|image| &image.path);
             images.chain(frame.sweeps.iter().map(|sweep| &sweep.path))
         });
-        files.collect::<BTreeSet<_>>().into_iter().cloned().collect()
+        let missing = self.inner.recording().gaps.iter().filter_map(Gap::file);
+        let files = files.map(PathBuf::as_path).chain(missing);
+        files.collect::<BTreeSet<_>>().into_iter().map(Path::to_owned).collect()
     }
 
     fn __len__(&self) -> usize {

@@ -29,10 +29,10 @@ pub(crate) struct GeneratorArgs {
     /// are rendered as in its training
     #[arg(long, value_name = "NETWORK")]
     pub(crate) generator: Option<NetworkName>,
-    /// Strategy for advancing the window: reset_and_roll or rolling, with `,clean=C` leading frames of the
-    /// window that are always clean [default: 0]; causal, with `,history_noise=N` noise on the previous
-    /// frames, in steps of 1000 [default: 0]; non_causal, with `,forecasts=K` forecasts in the window
-    /// [default: 1] [default: reset_and_roll]
+    /// Strategy for advancing the window, and its number: reset_and_roll or rolling, `clean` (leading frames
+    /// of the window that are always clean, 0 without); causal, `history_noise` (noise on the previous frames
+    /// in steps of 1000, 0 without); non_causal, `forecasts` (in the window, 1 without). Like
+    /// rolling,clean=2 [default: reset_and_roll]
     #[arg(long, value_name = "STRATEGY[,KEY=N]")]
     strategy: Option<StrategyArg>,
     /// Frames in the window, L; the first L - 1 frames are ground-truth images [default: the window the

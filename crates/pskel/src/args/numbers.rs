@@ -1,11 +1,12 @@
 //! Parsers of numeric arguments, with their valid ranges.
 
-use point_skeleton::skeleton::CHUNK_M;
+use point_skeleton::conditions::ConditionOptions;
+use point_skeleton::scene::RATES_HZ;
+use point_skeleton::skeleton::{BuildOptions, CHUNK_M};
 
-/// Parses a voxel size: 0, or a side that 21 bits can count within a chunk and that is not larger than a
-/// chunk.
+/// Parses a voxel size.
 pub(crate) fn voxel_m(text: &str) -> Result<f64, String> {
-    finite(text).filter(|v| *v == 0.0 || (1e-4..=CHUNK_M).contains(v)).ok_or_else(|| {
+    finite(text).filter(|v| BuildOptions::is_voxel_m(*v)).ok_or_else(|| {
         format!("expected meters, 0 (keeps all points) or at least 0.0001 and at most {CHUNK_M}")
     })
 }
@@ -28,14 +29,15 @@ pub(crate) fn share(text: &str) -> Result<f64, String> {
 
 /// Parses a distance of more than zero meters that is also finite as `f32`.
 pub(crate) fn distance_m(text: &str) -> Result<f64, String> {
-    let fits = |v: &f64| *v as f32 > 0.0 && (*v as f32).is_finite();
-    finite(text).filter(fits).ok_or_else(|| "expected meters, more than 0".into())
+    finite(text)
+        .filter(|v| ConditionOptions::is_distance_m(*v))
+        .ok_or_else(|| "expected meters, more than 0".into())
 }
 
 /// Parses a rate of 0.1 to 100 per second.
 pub(crate) fn rate_hz(text: &str) -> Result<f64, String> {
     finite(text)
-        .filter(|hz| (0.1..=100.0).contains(hz))
+        .filter(|hz| RATES_HZ.contains(hz))
         .ok_or_else(|| "expected a rate of 0.1 to 100 a second".into())
 }
 

@@ -33,14 +33,7 @@ pub(crate) fn open<const N: usize>(
     inputs: &Inputs,
     folder: Option<&Path>,
 ) -> anyhow::Result<[Option<OutputFile>; N]> {
-    let given: Vec<(&str, &Path)> =
-        options.iter().filter_map(|(name, path, _)| Some((*name, (*path)?))).collect();
-    for (place, (name, path)) in given.iter().enumerate() {
-        if let Some((other, _)) = given[..place].iter().find(|(_, other)| is_one_file(other, path)) {
-            let message = format!("expected two files for {other} and {name}, found {}", path.display());
-            return Err(WrongUsage(message).into());
-        }
-    }
+    check_different(options.iter().filter_map(|(name, path, _)| Some((*name, (*path)?))))?;
     let mut files = options.map(|_| None);
     for (file, (_, path, kind)) in files.iter_mut().zip(options) {
         let Some(path) = path else { continue };
@@ -48,4 +41,18 @@ pub(crate) fn open<const N: usize>(
         *file = Some(OutputFile::open(path, kind, inputs)?);
     }
     Ok(files)
+}
+
+/// Checks that options name different files.
+pub(crate) fn check_different<'a>(
+    given: impl IntoIterator<Item = (&'static str, &'a Path)>,
+) -> Result<(), WrongUsage> {
+    let given: Vec<(&str, &Path)> = given.into_iter().collect();
+    for (place, (name, path)) in given.iter().enumerate() {
+        if let Some((other, _)) = given[..place].iter().find(|(_, other)| is_one_file(other, path)) {
+            let message = format!("expected two files for {other} and {name}, found {}", path.display());
+            return Err(WrongUsage(message));
+        }
+    }
+    Ok(())
 }

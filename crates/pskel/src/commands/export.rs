@@ -50,7 +50,8 @@ pub(crate) struct ExportArgs {
     #[arg(long, value_name = "I/N")]
     only: Option<Part>,
     /// Number of recordings that are exported at a time, each with a device of its own
-    #[arg(long, value_name = "N", default_value = "1", value_parser = clap::value_parser!(u32).range(1..=64))]
+    #[arg(long, value_name = "N", default_value = "1")]
+    #[arg(value_parser = clap::value_parser!(u32).range(1..=ExportJob::MAX_JOBS as i64))]
     jobs: u32,
     /// Key frames per shard
     #[arg(long, value_name = "N", default_value = "256", value_parser = clap::value_parser!(u32).range(1..))]

@@ -6,18 +6,19 @@ use std::time::Instant;
 
 use clap::Args;
 use point_skeleton::error::FileError;
-use point_skeleton::files::{FileKind, OutputFile, is_one_file};
+use point_skeleton::files::{FileKind, OutputFile};
 use point_skeleton::{RenderOptions, Renderer};
 use pskel_eval::{FidelityFiles, FidelityFrames, FidelityReport, FidelitySource, fidelity};
 use pskel_town::Town;
 
 use crate::args::frames::{FrameArgs, HoldOutArgs};
+use crate::args::outputs;
 use crate::args::rasterizer::RasterizerArgs;
 use crate::args::size::SizeArgs;
 use crate::args::source::SourceArgs;
 use crate::args::substitutes::SubstituteArgs;
+use crate::print_result;
 use crate::progress::Progress;
-use crate::{WrongUsage, print_result};
 
 /// Measure the fidelity of condition maps against ground truth
 ///
@@ -83,13 +84,9 @@ impl Form {
 pub(crate) fn run(args: &FidelityArgs) -> anyhow::Result<()> {
     let start = Instant::now();
     let inputs = args.source.inputs().and(args.substitutes.inputs());
+    outputs::check_different(args.out.iter().map(|path| ("--out", path.as_path())))?;
     let forms = args.out.iter().filter_map(|path| Some((path, Form::of(path)?)));
     let open = |(path, form): (&PathBuf, Form)| {
-        let count = args.out.iter().filter(|other| is_one_file(other, path)).count();
-        if count > 1 {
-            let message = format!("expected each file once for --out, found {} again", path.display());
-            return Err(WrongUsage(message).into());
-        }
         let file = OutputFile::open(path, form.kind, &inputs)?;
         anyhow::Ok((file, form.write))
     };

@@ -9,8 +9,8 @@ use point_skeleton::files::{Inputs, WholeFolder};
 use pskel_town::{Town, TownOptions, WriteError};
 
 use crate::args::outputs::FolderArgs;
+use crate::print_result;
 use crate::progress::Progress;
-use crate::{WrongUsage, print_result};
 
 /// Write the synthetic town as a data set in nuScenes layout: images, LiDAR sweeps, boxes, and the HD map
 ///
@@ -35,7 +35,6 @@ pub(crate) struct TownArgs {
 /// Runs the command: generates and writes the town.
 pub(crate) fn run(args: &TownArgs) -> anyhow::Result<()> {
     let start = Instant::now();
-    args.options.check().map_err(|error| WrongUsage(error.to_string()))?;
     let out = WholeFolder::open(&args.folder.out, "town", &Inputs::default())?;
     let town = Town::new(&args.options)?;
     out.write(|folder| {

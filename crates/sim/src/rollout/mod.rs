@@ -144,6 +144,11 @@ impl<'a> Rollout<'a> {
         self.rows.len()
     }
 
+    /// Returns the step from which on the policies decide.
+    pub fn takeover_step(&self) -> usize {
+        self.record.takeover_step
+    }
+
     /// Returns the maximum number of steps to simulate and write, with step 0.
     pub fn steps_left(&self) -> usize {
         self.record.simulation.steps.saturating_add(1).saturating_sub(self.rows.len())

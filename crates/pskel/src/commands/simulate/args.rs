@@ -188,6 +188,18 @@ impl SimulateArgs {
         None
     }
 
+    /// Returns a note if policies that leave the log decide less than half of the steps. Protocols choose
+    /// their warm-up themselves.
+    pub(super) fn note_on_warmup(&self, takeover: usize, steps: usize) -> Option<String> {
+        let follows_log = self.follow_log() == [true, true];
+        (!follows_log && !self.least_warmup && 2 * takeover > steps).then(|| {
+            format!(
+                "warm-up: the policies take over at step {takeover} of {steps}; more --steps or a lower \
+                    ratio of --sim-hz to --plan-hz give them more"
+            )
+        })
+    }
+
     /// Returns everything that is read.
     pub(super) fn input_paths(&self) -> InputPaths {
         let files = [self.prompt.annotations.as_deref(), self.policies.trajectory.as_deref()];

@@ -63,7 +63,6 @@ pub(crate) fn rollout(args: SimulateArgs) -> anyhow::Result<String> {
     let opened = Opened::open(&args.generator, log, rates.plan_hz)?;
     args.check_steps(simulation.steps, opened.as_ref().map(Opened::window))?;
     simulation.warmup_frames = args.warmup_frames(opened.as_ref().map(Opened::window))?;
-    warn_of_warmup(&args, &simulation, rates);
     let planned = Planned {
         steps: simulation.steps,
         ego: simulation.ego.name(),
@@ -85,6 +84,9 @@ pub(crate) fn rollout(args: SimulateArgs) -> anyhow::Result<String> {
     if args.rollout.resume_after().is_some() && rollout.steps_done() == 0 {
         warn("--resume: found no earlier steps, starting at step 0");
     }
+    if let Some(note) = args.note_on_warmup(rollout.takeover_step(), planned.steps) {
+        warn(&note);
+    }
     let render = RenderOptions {
         rasterizer: args.rasterizer.desc()?,
         substitutes: &substitutes,
@@ -102,19 +104,6 @@ pub(crate) fn rollout(args: SimulateArgs) -> anyhow::Result<String> {
     let report = checked(report, &args, files.profile.as_ref())?;
     let text = summary(&planned, &report, &renderer.rasterizer().info());
     Ok(format!("{text} in {:.2} s: {}", start.elapsed().as_secs_f64(), args.folder.out.display()))
-}
-
-/// Warns if the policies decide few of the steps.
-fn warn_of_warmup(args: &SimulateArgs, simulation: &SimOptions, rates: Rates) {
-    let per_plan = (rates.sim_hz / rates.plan_hz).round() as usize;
-    let takeover = simulation.warmup_frames.saturating_sub(1) * per_plan;
-    if !args.is_open_loop() && 2 * takeover > simulation.steps {
-        warn(&format!(
-            "warm-up: the policies take over at step {takeover} of {}; more --steps or a lower ratio of \
-                --sim-hz to --plan-hz give them more",
-            simulation.steps
-        ));
-    }
 }
 
 /// Writes the profile, and returns the report of a rollout without failures.

@@ -292,8 +292,11 @@ fn exports_are_not_mixed() {
     let output = log.run(&format!("{args} --layout frames"));
     assert_failed(&output, 1, &["expected an export or an empty folder, found thesis.tex: thesis"]);
     for (args, parts) in [
-        ("--layout frames --format npz", "expected --format png"),
-        ("--layout pas-cache --hz 5", "expected no --hz with --layout pas-cache"),
+        (
+            "--layout frames --format npz",
+            "expected the format png, or safetensors with the layout webdataset, found npz",
+        ),
+        ("--layout pas-cache --hz 5", "expected no rate with the layout pas-cache"),
         ("--layout frames --only 3/3", "a part I/N"),
         ("--layout mosaic", "mosaic"),
         ("--layout frames --maps tensor", "tensor"),
