@@ -22,7 +22,7 @@ pub fn run(kind: RasterizerKind, out: &Path) -> Result<(), Box<dyn std::error::E
     let camera = Camera::new("front", 400, 300, [[350.0, 0.0, 200.0], [0.0, 350.0, 150.0], [0.0, 0.0, 1.0]])?;
     let world_from_local = DAffine3::from_translation(DVec3::Z * 5.0);
 
-    let mut rasterizer = create(&kind.into(), vec![&points])?;
+    let mut rasterizer = create(&kind.into(), vec![(&points).into()])?;
     let maps = rasterizer.splat(&SplatJob {
         view: &View { camera, camera_from_world: DAffine3::IDENTITY },
         schedule: &"10:2,50:1".parse::<SplatSchedule>()?, // radius in pixels by depth in meters

@@ -80,13 +80,13 @@ struct InFlight {
 }
 
 impl<'a> Renderer<'a> {
-    /// Creates a renderer and uploads the clouds of the skeleton.
+    /// Creates a renderer of a skeleton, whose points are read when they may be seen.
     ///
     /// # Errors
-    /// Fails if points of the skeleton are damaged, or if no device supports the rasterizer.
+    /// Fails if no device supports the rasterizer.
     pub fn new(skeleton: &'a Skeleton, options: RenderOptions<'a>) -> Result<Self, Error> {
         let first = skeleton.manifest.sources.first().map_or("", |source| source.log.as_str());
-        let clouds = SceneClouds::with(skeleton, options.log.unwrap_or(first), options.substitutes)?;
+        let clouds = SceneClouds::with(skeleton, options.log.unwrap_or(first), options.substitutes);
         let rasterizer = raster::create(&options.rasterizer, clouds.cloud_set())?;
         let distorter = options.distort.then(|| Distorter::new(&options.conditions)).transpose()?;
         let without_map = options.optional_map.then(|| {

@@ -63,7 +63,9 @@ class Renderer(_pskel.Renderer):
     device : str or int, optional
         Vulkan device: index, UUID, PCI address or part of the name. By default ``PSKEL_DEVICE``, else the fastest.
     gpu_memory : int, optional
-        Device memory for points, MiB; beyond it positions are streamed from the host (compute only).
+        Device memory for points, MiB; the least recently seen ones beyond it are evicted.
+    memory : int, optional
+        Memory for points, MiB, likewise (cpu only). By default 2048, or what a frame needs if that is more.
     no_occlusion_culling : bool
         Draw points that nearer ones hide, too (cpu only); the maps are the same.
     distort : bool
@@ -105,6 +107,7 @@ class Renderer(_pskel.Renderer):
         rasterizer: str = "auto",
         device: str | int | None = None,
         gpu_memory: int | None = None,
+        memory: int | None = None,
         no_occlusion_culling: bool = False,
         distort: bool = False,
         log: str | None = None,

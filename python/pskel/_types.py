@@ -52,6 +52,7 @@ class _MapKeywords(TypedDict, total=False):
     rasterizer: str
     device: str | int | None
     gpu_memory: int | None
+    memory: int | None
     no_occlusion_culling: bool
 
 

@@ -224,9 +224,10 @@ impl<'py> Keywords<'_, 'py> {
             DeviceName::Index(index) => index.to_string(),
             DeviceName::Text(text) => text,
         });
-        let memory_bytes = self.get::<Option<u32>>("gpu_memory")?.map(|mib| u64::from(mib) << 20);
+        let mib = |name| Ok::<_, PyErr>(self.get::<Option<u32>>(name)?.map(|mib| u64::from(mib) << 20));
+        let (memory_bytes, host_memory_bytes) = (mib("gpu_memory")?, mib("memory")?);
         let occlusion_culling = !self.get::<bool>("no_occlusion_culling")?;
-        let desc = RasterizerDesc { kind, device, memory_bytes, occlusion_culling };
+        let desc = RasterizerDesc { kind, device, memory_bytes, host_memory_bytes, occlusion_culling };
         match desc.unused().first() {
             None => Ok(desc),
             Some(name) => {

@@ -39,7 +39,7 @@ pub(crate) fn splat<'py>(
     let options = ConditionOptions { maps, ..ConditionOptions::default() };
     let draw = || {
         check_memory(&views, &options, false).map_err(|error| raise(ConditionError::from(error)))?;
-        let mut rasterizer = create(&RasterizerDesc::from(kind), vec![&points]).map_err(raise)?;
+        let mut rasterizer = create(&RasterizerDesc::from(kind), vec![(&points).into()]).map_err(raise)?;
         let mut of_view = |view: &View| {
             let maps = rasterizer.splat(&SplatJob {
                 view,

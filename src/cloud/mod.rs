@@ -5,7 +5,7 @@
 //! read row by row into a [`PointFile`]. It preserves the row order, subtracts an origin near most points
 //! before the coordinates become `f32` ([`origin_of`]), finds the range of the colors ([`ColorRange`]), and
 //! counts rows that cannot be rendered or lost precision. [`cameras`] reads the views for rendering a bare
-//! cloud.
+//! cloud. A [`Cloud`] to render is in memory, or in a file that is read page by page ([`paged`]).
 
 pub mod cameras;
 mod colors;
@@ -15,17 +15,21 @@ mod not_finite;
 pub mod npy;
 mod npy_header;
 mod origin;
+pub mod paged;
 pub mod ply;
 mod point;
 mod rows;
+mod source;
 
 pub use colors::{ColorRange, ColorScale, ColorValues};
 pub use format::{PointFormat, PointOutput};
 pub(crate) use morton::morton_order;
+pub use morton::sort_in_space;
 pub(crate) use not_finite::not_finite;
 pub use origin::{PRECISE_WITHIN_M, Precision, local_position, origin_of};
 pub use point::{Bounds, Point};
 pub use rows::PointFile;
+pub use source::Cloud;
 
 use std::path::Path;
 

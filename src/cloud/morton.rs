@@ -28,6 +28,14 @@ pub(crate) fn morton_order(points: &[Point], bounds: &Bounds) -> Option<Vec<u32>
     Some(keys.into_par_iter().map(|key| key as u32).collect())
 }
 
+/// Sorts points in Morton order, as renderers are fastest with. Points of one cell, of 1024 along the longest side
+/// of the bounds, keep their order.
+pub fn sort_in_space(points: &mut Vec<Point>) {
+    if let Some(order) = Bounds::of_finite(points).and_then(|bounds| morton_order(points, &bounds)) {
+        *points = order.into_par_iter().map(|index| points[index as usize]).collect();
+    }
+}
+
 /// Spreads the low ten bits to every third bit of thirty.
 fn spread(value: u32) -> u32 {
     let v = value & 0x3ff;
@@ -59,6 +67,17 @@ mod tests {
         assert_eq!(order(&sorted), None);
         let reversed: Vec<[f32; 3]> = (0..8).rev().map(corner).collect();
         assert_eq!(order(&reversed), Some(vec![7, 6, 5, 4, 3, 2, 1, 0]));
+    }
+
+    #[test]
+    fn points_are_sorted_in_place() {
+        let point = |x: f32| Point::new([x, 0.0, 0.0], [x as u8; 3], 0);
+        let mut points: Vec<Point> = [5.0, 1.0, 3.0].map(point).into();
+        sort_in_space(&mut points);
+        assert_eq!(points, [1.0, 3.0, 5.0].map(point));
+        sort_in_space(&mut points);
+        sort_in_space(&mut Vec::new());
+        assert_eq!(points, [1.0, 3.0, 5.0].map(point));
     }
 
     #[test]

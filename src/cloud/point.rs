@@ -22,6 +22,11 @@ impl Point {
         [r, g, b]
     }
 
+    /// Returns whether all coordinates are finite; other points are never drawn.
+    pub fn is_finite(&self) -> bool {
+        self.position.iter().all(|v| v.is_finite())
+    }
+
     /// Returns the class, as in the class map.
     pub fn class(&self) -> u8 {
         self.rgb_class.to_le_bytes()[3]
@@ -48,6 +53,20 @@ impl Bounds {
             }
         }
         (0..3).all(|axis| min[axis] <= max[axis]).then_some(Self { min, max })
+    }
+
+    /// Returns the bounds of the points with finite coordinates; `None` if there are none.
+    pub(crate) fn of_finite(points: &[Point]) -> Option<Self> {
+        Self::of(points.iter().filter(|point| point.is_finite()))
+    }
+
+    /// Returns the bounds of both.
+    #[must_use]
+    pub fn and(self, other: Self) -> Self {
+        Self {
+            min: [0, 1, 2].map(|axis| self.min[axis].min(other.min[axis])),
+            max: [0, 1, 2].map(|axis| self.max[axis].max(other.max[axis])),
+        }
     }
 
     /// Returns the eight corners, meters.

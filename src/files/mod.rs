@@ -1,6 +1,7 @@
 //! File handling: checked file names, limited reads of regular files, atomic writes, outputs that replace
 //! only files of earlier runs and none of their inputs, and escaping of text from data in messages.
 
+mod checksum;
 pub mod input;
 mod inputs;
 pub mod json;
@@ -11,6 +12,7 @@ mod resolved;
 pub(crate) mod sniff;
 pub mod text;
 
+pub use checksum::Checksum;
 pub use inputs::Inputs;
 pub use lock::lacks_locks;
 pub(crate) use name::first_twice;

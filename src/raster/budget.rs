@@ -1,16 +1,15 @@
 //! Rasterizer that takes no more memory than the budget allows (see [`memory`](crate::memory)).
 
 use super::{
-    FrameJob, FrameMaps, MapKind, MapSet, RasterError, Rasterizer, RasterizerInfo, SplatJob, SplatMaps,
+    CloudSet, FrameJob, FrameMaps, MapKind, MapSet, RasterError, Rasterizer, RasterizerInfo, SplatJob, SplatMaps,
     StageTimes,
 };
+use crate::cloud::Cloud;
 use crate::geometry::{ImageSize, View};
 use crate::memory::{MemoryError, Need, Reservation, reserve};
 
-/// Host memory per point: positions, colors and sort keys.
-const POINT_BYTES: u64 = 32;
-/// Host memory per point whose copy is in the memory of a device.
-const DEVICE_POINT_BYTES: u64 = 16;
+/// Host memory per point of a cloud in memory while it is sorted: keys and order.
+const ORDER_BYTES: u64 = 12;
 /// Host memory of visibility buffers per pixel of a view that is rendered in strips: the strips of all
 /// threads together.
 const STRIP_PIXEL_BYTES: u64 = 2;
@@ -27,12 +26,13 @@ pub(super) struct Budgeted<'a> {
     has_finished: bool,
 }
 
-/// Reserves the host memory of points while a rasterizer is created; afterwards it is taken.
-pub(super) fn reserve_points(points: usize, on_device: bool) -> Result<Reservation, MemoryError> {
-    let each = if on_device { DEVICE_POINT_BYTES } else { POINT_BYTES };
-    let bytes = each * points as u64;
-    let advice = "a skeleton of fewer frames or with larger voxels needs less";
-    reserve(bytes, || Need { what: format!("a rasterizer of {points} points"), bytes, advice })
+/// Reserves the host memory for the order of points while a rasterizer is created; afterwards it is taken.
+pub(super) fn reserve_order(clouds: &CloudSet<'_>) -> Result<Reservation, MemoryError> {
+    let in_memory = |cloud: &Cloud<'_>| if let Cloud::Memory(points) = cloud { points.len() } else { 0 };
+    let points: usize = clouds.iter().map(in_memory).sum();
+    let bytes = ORDER_BYTES * points as u64;
+    let advice = "points in a skeleton are sorted already";
+    reserve(bytes, || Need { what: format!("sorting {points} points"), bytes, advice })
 }
 
 impl<'a> Budgeted<'a> {
@@ -141,7 +141,7 @@ mod tests {
     /// 200 cameras of the largest size: 0.6 TB of maps.
     #[test]
     fn rejects_frames_beyond_the_budget() {
-        let mut rasterizer = create(&RasterizerKind::Cpu.into(), vec![&[]]).unwrap();
+        let mut rasterizer = create(&RasterizerKind::Cpu.into(), vec![(&[]).into()]).unwrap();
         let (views, schedule) = (views(200, 16_384, 16_384), SplatSchedule::default());
         let job = FrameJob {
             views: &views,

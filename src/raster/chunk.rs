@@ -2,13 +2,17 @@
 
 use rayon::prelude::*;
 
-use crate::cloud::{Bounds, Point, morton_order};
+use crate::cloud::paged::{BLOCK, PAGE};
+use crate::cloud::{Bounds, Cloud, Point, morton_order};
+use crate::error::FileError;
 
 /// Points per chunk; the last one of a cloud may have fewer. Also the width of point images, and the
 /// alignment of a draw's first number.
-pub(super) const CHUNK: usize = 4096;
+pub(super) const CHUNK: usize = PAGE;
 /// Points that are culled as one unit, a block: a quarter of a chunk.
-pub(super) const CULL_BLOCK: usize = 1024;
+pub(super) const CULL_BLOCK: usize = BLOCK;
+/// The order of a cloud is padded to a multiple of this number of points.
+pub(super) const RUN: usize = 64;
 /// Number of blocks in a group; a group is culled before its blocks.
 pub(super) const GROUP: usize = 64;
 
@@ -41,7 +45,7 @@ pub(super) struct GroupExtents {
 
 impl GroupExtents {
     fn of(blocks: &[Option<Bounds>]) -> Self {
-        let all = union(blocks).map(|bounds| Extent::of(&bounds));
+        let all = blocks.iter().flatten().copied().reduce(Bounds::and).map(|bounds| Extent::of(&bounds));
         let mut group = Self { all, center: [[0.0; GROUP]; 3], half: [[0.0; GROUP]; 3], drawn: 0 };
         for (block, bounds) in blocks.iter().enumerate() {
             let Some(extent) = bounds.as_ref().map(Extent::of) else { continue };
@@ -62,86 +66,135 @@ impl GroupExtents {
     }
 }
 
-/// A cloud in the order of its chunks. Bounds exclude points with non-finite positions, which are never
-/// drawn.
+impl AsRef<Self> for ChunkedCloud<'_> {
+    fn as_ref(&self) -> &Self {
+        self
+    }
+}
+
+/// A cloud in the order of its chunks, which is its own, unless that of points in memory is not in space: chunks
+/// of points that are near each other can be culled. Bounds exclude points with non-finite positions, which are
+/// never drawn.
 pub(super) struct ChunkedCloud<'a> {
-    points: &'a [Point],
-    /// Cloud index of each point in chunk order; `None` for the cloud's own order.
+    pub(super) cloud: Cloud<'a>,
+    /// Cloud index of each point in chunk order, padded to whole runs of [`RUN`]; `None` for the cloud's own
+    /// order.
     order: Option<Vec<u32>>,
     /// Bounds of each run with [`CULL_BLOCK`] points; [`GROUP`] runs together.
     pub(super) groups: Vec<GroupExtents>,
+    /// Bounds of all points; `None` if none is ever drawn.
+    pub(super) all: Option<Bounds>,
 }
 
 impl<'a> ChunkedCloud<'a> {
-    pub(super) fn new(points: &'a [Point]) -> Self {
-        let parts: Vec<Option<Bounds>> =
-            points.par_chunks(CHUNK).map(|part| finite_bounds(part.iter())).collect();
-        let order = union(&parts).and_then(|bounds| morton_order(points, &bounds));
-        let mut cloud = Self { points, order, groups: Vec::new() };
-        let blocks = points.len().div_ceil(CULL_BLOCK);
-        let bounds = |block: usize| {
-            let places = block * CULL_BLOCK..points.len().min((block + 1) * CULL_BLOCK);
-            finite_bounds(cloud.points_at(places).map(|(_, point)| point))
-        };
-        let bounds: Vec<Option<Bounds>> = (0..blocks).into_par_iter().map(bounds).collect();
-        cloud.groups = bounds.chunks(GROUP).map(GroupExtents::of).collect();
-        cloud
+    pub(super) fn new(cloud: Cloud<'a>) -> Self {
+        Self::with_blocks(cloud).0
+    }
+
+    /// Creates a cloud in its own order in any case.
+    pub(super) fn in_order(cloud: Cloud<'a>) -> Self {
+        Self::of(cloud, false).0
+    }
+
+    /// Returns the bounds of the runs with [`CULL_BLOCK`] points too.
+    pub(super) fn with_blocks(cloud: Cloud<'a>) -> (Self, Vec<Option<Bounds>>) {
+        Self::of(cloud, true)
+    }
+
+    fn of(cloud: Cloud<'a>, reorders: bool) -> (Self, Vec<Option<Bounds>>) {
+        let mut blocks = cloud.blocks();
+        let all = blocks.iter().flatten().copied().reduce(Bounds::and);
+        let mut order = None;
+        if let (true, Cloud::Memory(points), Some(all)) = (reorders, cloud, &all) {
+            order = morton_order(points, all);
+            if let Some(order) = &mut order {
+                let bounds = |block: &[u32]| {
+                    let points = block.iter().map(|index| &points[*index as usize]);
+                    Bounds::of(points.filter(|point| point.is_finite()))
+                };
+                blocks = order.par_chunks(CULL_BLOCK).map(bounds).collect();
+                order.resize(order.len().next_multiple_of(RUN), 0);
+            }
+        }
+        let groups = blocks.chunks(GROUP).map(GroupExtents::of).collect();
+        (Self { cloud, order, groups, all }, blocks)
     }
 
     /// Returns the number of points.
     pub(super) fn len(&self) -> usize {
-        self.points.len()
+        self.cloud.len()
     }
 
     /// Returns the number of chunks.
     pub(super) fn chunks(&self) -> usize {
-        self.points.len().div_ceil(CHUNK)
+        self.len().div_ceil(CHUNK)
     }
 
     /// Returns the number of points in a chunk.
     pub(super) fn count(&self, chunk: usize) -> u32 {
-        (self.points.len() - chunk * CHUNK).min(CHUNK) as u32
+        (self.len() - chunk * CHUNK).min(CHUNK) as u32
     }
 
-    /// Returns whether the order differs from the cloud's own.
-    pub(super) fn is_reordered(&self) -> bool {
-        self.order.is_some()
+    /// Returns the cloud indices of all points in chunk order, padded to whole runs of [`RUN`]; `None` if the
+    /// order is the cloud's own.
+    pub(super) fn order(&self) -> Option<&[u32]> {
+        self.order.as_deref()
     }
 
-    /// Returns a range of points in chunk order, with their cloud indices.
-    pub(super) fn points_at(&self, places: std::ops::Range<usize>) -> impl Iterator<Item = (u32, &'a Point)> {
-        places.map(|place| {
-            let index = self.order.as_ref().map_or(place as u32, |order| order[place]);
-            (index, &self.points[index as usize])
-        })
+    /// Returns the points of a chunk. `buffer` serves to read them.
+    ///
+    /// # Errors
+    /// Fails if they cannot be read or are damaged.
+    pub(super) fn read<'b>(&self, chunk: usize, buffer: &'b mut Vec<Point>) -> Result<&'b [Point], FileError> {
+        let first = chunk * CHUNK;
+        let places = first..first + self.count(chunk) as usize;
+        buffer.clear();
+        match (&self.cloud, &self.order) {
+            (Cloud::Stored(cloud), _) => {
+                buffer.resize(places.len(), Point::default());
+                cloud.read(chunk, buffer)?;
+            }
+            (Cloud::Memory(points), Some(order)) => {
+                buffer.extend(order[places].iter().map(|index| points[*index as usize]));
+            }
+            (Cloud::Memory(points), None) => buffer.extend_from_slice(&points[places]),
+        }
+        Ok(buffer)
     }
 
     /// Writes a chunk in the device's layout: bits of x, y, z and the cloud index, a row of [`CHUNK`] texels.
-    pub(super) fn write_row(&self, chunk: usize, row: &mut [[u32; 4]]) {
-        let first = chunk * CHUNK;
-        let places = first..first + self.count(chunk) as usize;
-        for (texel, (index, point)) in row.iter_mut().zip(self.points_at(places)) {
+    /// `buffer` serves to read it.
+    ///
+    /// # Errors
+    /// Fails as [`ChunkedCloud::read`].
+    pub(super) fn write_row(
+        &self,
+        chunk: usize,
+        row: &mut [[u32; 4]],
+        buffer: &mut Vec<Point>,
+    ) -> Result<(), FileError> {
+        let points = self.read(chunk, buffer)?;
+        for ((texel, point), place) in row.iter_mut().zip(points).zip(chunk * CHUNK..) {
             let [x, y, z] = point.position.map(f32::to_bits);
-            *texel = [x, y, z, index];
+            *texel = [x, y, z, self.order.as_ref().map_or(place as u32, |order| order[place])];
+        }
+        Ok(())
+    }
+
+    /// Returns a chunk's number of points in the cloud's own order. `buffer` serves to read them.
+    ///
+    /// # Errors
+    /// Fails as [`ChunkedCloud::read`].
+    pub(super) fn read_in_order<'b>(
+        &'b self,
+        chunk: usize,
+        buffer: &'b mut Vec<Point>,
+    ) -> Result<&'b [Point], FileError> {
+        match self.cloud {
+            Cloud::Memory(points) => Ok(&points[chunk * CHUNK..][..self.count(chunk) as usize]),
+            Cloud::Stored(_) => self.read(chunk, buffer),
         }
     }
-
-    /// Returns colors and classes in the cloud's own order.
-    pub(super) fn colors(&self, range: std::ops::Range<usize>) -> impl Iterator<Item = u32> {
-        let end = range.end.min(self.points.len());
-        self.points[range.start.min(end)..end].iter().map(|point| point.rgb_class)
-    }
-}
-
-fn finite_bounds<'p>(points: impl Iterator<Item = &'p Point>) -> Option<Bounds> {
-    Bounds::of(points.filter(|point| point.position.iter().all(|v| v.is_finite())))
-}
-
-fn union(parts: &[Option<Bounds>]) -> Option<Bounds> {
-    parts.iter().flatten().copied().reduce(|a, b| Bounds {
-        min: [0, 1, 2].map(|axis| a.min[axis].min(b.min[axis])),
-        max: [0, 1, 2].map(|axis| a.max[axis].max(b.max[axis])),
-    })
 }
 
 #[cfg(test)]
@@ -156,18 +209,18 @@ mod tests {
     fn chunks_hold_every_point_once_and_bound_it() {
         let scattered = |i: u32| point((i.wrapping_mul(2_654_435_761) >> 16) as f32);
         let points: Vec<Point> = (0..10_000).map(scattered).collect();
-        let cloud = ChunkedCloud::new(&points);
+        let cloud = ChunkedCloud::new((&points).into());
         assert_eq!((cloud.chunks(), cloud.groups.len(), cloud.groups[0].drawn), (3, 1, 0x3ff));
         assert_eq!(cloud.count(2), 10_000 - 2 * 4096);
-        let mut seen = vec![0; points.len()];
+        let (mut seen, mut buffer, order) = (vec![0; points.len()], Vec::new(), cloud.order().unwrap());
+        assert_eq!(order.len(), 10_048);
         for chunk in 0..3 {
-            let mut row = vec![[0; 4]; CHUNK];
-            cloud.write_row(chunk, &mut row);
-            for (i, [x, _, _, index]) in row[..cloud.count(chunk) as usize].iter().enumerate() {
-                let extent = cloud.groups[0].block((chunk * CHUNK + i) / CULL_BLOCK);
-                seen[*index as usize] += 1;
-                assert_eq!(f32::from_bits(*x), points[*index as usize].position[0]);
-                assert!((f64::from(f32::from_bits(*x)) - extent.center[0]).abs() <= extent.half[0]);
+            for (i, point) in cloud.read(chunk, &mut buffer).unwrap().iter().enumerate() {
+                let (place, x) = (chunk * CHUNK + i, f64::from(point.position[0]));
+                let extent = cloud.groups[0].block(place / CULL_BLOCK);
+                seen[order[place] as usize] += 1;
+                assert_eq!(*point, points[order[place] as usize]);
+                assert!((x - extent.center[0]).abs() <= extent.half[0]);
             }
         }
         assert!(seen.iter().all(|n| *n == 1));
@@ -178,11 +231,10 @@ mod tests {
     #[test]
     fn non_finite_points_do_not_widen_bounds() {
         let points = [point(1.0), point(f32::NAN), point(f32::INFINITY), point(3.0)];
-        let cloud = ChunkedCloud::new(&points);
+        let cloud = ChunkedCloud::new((&points).into());
         let extent = cloud.groups[0].block(0);
         assert_eq!((extent.center[0], extent.half[0]), (2.0, 1.0));
-        assert!(ChunkedCloud::new(&points[1..3]).groups[0].drawn == 0);
-        assert!(ChunkedCloud::new(&[]).groups.is_empty());
-        assert_eq!(cloud.colors(2..100).count(), 2);
+        assert!(ChunkedCloud::new(points[1..3].into()).groups[0].drawn == 0);
+        assert!(ChunkedCloud::new((&[]).into()).groups.is_empty());
     }
 }

@@ -213,7 +213,7 @@ mod tests {
             crate::cloud::Point::new(position, [0; 3], 0)
         };
         let points: Vec<crate::cloud::Point> = (0..64 * 1024).map(point).collect();
-        let cloud = ChunkedCloud::new(&points);
+        let cloud = ChunkedCloud::new((&points).into());
         let mut counts = [0; 2];
         for group in &cloud.groups {
             let found = pulp::Arch::new().dispatch(Touching { group, frustum: &frustum });

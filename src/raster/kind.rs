@@ -1,7 +1,8 @@
-use super::budget::{Budgeted, reserve_points};
+use super::budget::{Budgeted, reserve_order};
 use super::cpu::{CpuRasterizer, CpuRasterizerDesc};
 use super::{
-    CloudSet, ComputeRasterizer, ComputeRasterizerDesc, GraphicsRasterizer, RasterError, Rasterizer,
+    CloudSet, ComputeRasterizer, ComputeRasterizerDesc, GraphicsRasterizer,
+    GraphicsRasterizerDesc, RasterError, Rasterizer,
 };
 use crate::gpu::{Device, DeviceDesc, GpuError};
 use crate::named;
@@ -36,27 +37,38 @@ pub struct RasterizerDesc {
     /// Part of the device's name, or its index; by default the environment variable `PSKEL_DEVICE`, then
     /// the best device.
     pub device: Option<String>,
-    /// Memory budget for points on the device, bytes (20 per point). Beyond it positions are streamed, which
-    /// only the compute rasterizer supports. `None` for no limit. The `cpu` rasterizer ignores it.
+    /// Memory budget for points on the device, bytes (`compute`: 20 per point, `graphics`: 16); points beyond it are
+    /// streamed. `None` for no limit, and for [`DEFAULT_MEMORY_BYTES`](super::DEFAULT_MEMORY_BYTES) on a device that is the host's processor. The
+    /// `cpu` rasterizer ignores it.
     pub memory_bytes: Option<u64>,
+    /// Memory budget for points of the `cpu` rasterizer, bytes (17 per point); points beyond it are streamed. `None`
+    /// for [`DEFAULT_MEMORY_BYTES`](super::DEFAULT_MEMORY_BYTES), or what a single frame needs if that is more.
+    pub host_memory_bytes: Option<u64>,
     /// Whether the `cpu` rasterizer skips points that nearer ones hide. The maps do not depend on it.
     pub occlusion_culling: bool,
 }
 
 impl Default for RasterizerDesc {
     fn default() -> Self {
-        Self { kind: RasterizerKind::Auto, device: None, memory_bytes: None, occlusion_culling: true }
+        Self {
+            kind: RasterizerKind::Auto,
+            device: None,
+            memory_bytes: None,
+            host_memory_bytes: None,
+            occlusion_culling: true,
+        }
     }
 }
 
 impl RasterizerDesc {
     /// Returns the parameters that are set although this kind of rasterizer has no use for them, as the
-    /// command names them: `device`, `gpu-memory`, `no-occlusion-culling`.
+    /// command names them: `device`, `gpu-memory`, `memory`, `no-occlusion-culling`.
     pub fn unused(&self) -> Vec<&'static str> {
-        use RasterizerKind::{Auto, Cpu, Graphics};
+        use RasterizerKind::{Auto, Cpu};
         let unused = [
             ("device", self.device.is_some() && self.kind == Cpu),
-            ("gpu-memory", self.memory_bytes.is_some() && matches!(self.kind, Cpu | Graphics)),
+            ("gpu-memory", self.memory_bytes.is_some() && self.kind == Cpu),
+            ("memory", self.host_memory_bytes.is_some() && !matches!(self.kind, Cpu | Auto)),
             ("no-occlusion-culling", !self.occlusion_culling && !matches!(self.kind, Cpu | Auto)),
         ];
         unused.into_iter().filter(|(_, unused)| *unused).map(|(name, _)| name).collect()
@@ -69,7 +81,7 @@ impl From<RasterizerKind> for RasterizerDesc {
     }
 }
 
-/// Creates a rasterizer with these resident clouds. `PSKEL_VALIDATION=1` turns on validation.
+/// Creates a rasterizer of these clouds, whose points are loaded when they may be seen. `PSKEL_VALIDATION=1` turns on validation.
 ///
 /// # Errors
 /// Fails if there is no device (never for [`RasterizerKind::Cpu`], and not for [`RasterizerKind::Auto`] if
@@ -98,10 +110,10 @@ pub fn create<'a>(
         },
         _ => Some(Device::new(&of_device)?),
     };
-    let on_device = device.as_ref().is_some_and(|device| !device.shares_memory());
-    let _points = reserve_points(clouds.iter().map(|cloud| cloud.len()).sum(), on_device)?;
+    let _order = reserve_order(&clouds)?;
     let Some(device) = device else {
-        let options = CpuRasterizerDesc { occlusion_culling: desc.occlusion_culling };
+        let (occlusion_culling, memory_bytes) = (desc.occlusion_culling, desc.host_memory_bytes);
+        let options = CpuRasterizerDesc { occlusion_culling, memory_bytes };
         return Ok(Box::new(Budgeted::new(Box::new(CpuRasterizer::with_desc(clouds, options)), false)));
     };
     let compute = match desc.kind {
@@ -114,10 +126,6 @@ pub fn create<'a>(
         let rasterizer = Box::new(ComputeRasterizer::with_desc(device, &clouds, desc)?);
         return Ok(Box::new(Budgeted::new(rasterizer, false)));
     }
-    if desc.memory_bytes.is_some() {
-        let expected = "64-bit atomics on buffers, since only the compute rasterizer has a GPU memory limit";
-        let found = if desc.kind == RasterizerKind::Graphics { "the graphics rasterizer" } else { "none" };
-        return Err(device.unsupported(expected, found).into());
-    }
-    Ok(Box::new(Budgeted::new(Box::new(GraphicsRasterizer::new(device, &clouds)?), true)))
+    let desc = GraphicsRasterizerDesc { memory_bytes: desc.memory_bytes, ..GraphicsRasterizerDesc::default() };
+    Ok(Box::new(Budgeted::new(Box::new(GraphicsRasterizer::with_desc(device, &clouds, desc)?), true)))
 }

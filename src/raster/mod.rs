@@ -1,8 +1,8 @@
 //! The splat rasterizers: one interface, implementations with identical output.
 //!
 //! # How it works
-//! A rasterizer is created once from all clouds of a scene ([`CloudSet`]), which then stay resident. Per
-//! frame and view only the camera and the [`Instance`]s (posed clouds) change. [`Draw`]s contain their poses
+//! A rasterizer is created once from all clouds of a scene ([`CloudSet`]). Their chunks are loaded when a camera
+//! may see them, and stay while memory lasts (`residency`). Per frame and view only the camera and the [`Instance`]s (posed clouds) change. [`Draw`]s contain their poses
 //! and projections as `f32` matrices multiplied out in `f64`. `cpu` and `graphics` cull whole instances by
 //! bounds ([`draws_from_job`]), `compute` culls parts of them. All do the same `f32` operations in the same
 //! order, so the maps agree to the pixel.
@@ -13,7 +13,7 @@
 //! # let camera = Camera::new("front", 8, 6, [[4.0, 0.0, 4.0], [0.0, 4.0, 3.0], [0.0, 0.0, 1.0]])?;
 //! # let (view, pose) = (View { camera, camera_from_world: Default::default() }, Default::default());
 //! let points = [Point::new([0.0, 0.0, 5.0], [255, 0, 0], 1)]; // meters, RGB, class
-//! let mut rasterizer = create(&RasterizerKind::Cpu.into(), vec![&points])?;
+//! let mut rasterizer = create(&RasterizerKind::Cpu.into(), vec![(&points).into()])?;
 //! let instances = [Instance { cloud: 0, world_from_local: pose, number: 0 }];
 //! let schedule = SplatSchedule::default();
 //! let (schedule, instances, maps) = (&schedule, &instances, MapSet::SPLATTED);
@@ -37,13 +37,15 @@ mod layers;
 mod lines;
 mod maps;
 pub mod reference;
+mod residency;
 mod schedule;
+mod sight;
 mod steps;
 pub mod tiles;
 
 pub(crate) use budget::{frame_bytes, need_of_views};
 pub use compute::{ComputeRasterizer, ComputeRasterizerDesc};
-pub use cpu::{CpuRasterizer, CpuRasterizerDesc};
+pub use cpu::{CpuRasterizer, CpuRasterizerDesc, DEFAULT_MEMORY_BYTES};
 pub use draw::{Crop, Draw, Instance, SplatJob, draws_from_job};
 pub use frame::{FrameJob, FrameMaps, Occlusion, ViewMaps, class_of, rgb_of};
 pub use graphics::{GraphicsRasterizer, GraphicsRasterizerDesc};
@@ -57,10 +59,11 @@ pub use maps::{Segment, SplatMaps, StageTimes};
 pub(crate) use schedule::DEFAULT_STEPS;
 pub use schedule::{ScheduleError, SplatSchedule, SplatStep};
 
-use crate::cloud::Point;
+use crate::cloud::Cloud;
+use crate::error::FileError;
 
-/// All resident clouds of a rasterizer, in the order of their ids.
-pub type CloudSet<'a> = Vec<&'a [Point]>;
+/// All clouds of a rasterizer, in the order of their ids.
+pub type CloudSet<'a> = Vec<Cloud<'a>>;
 
 /// Rendering error.
 #[derive(Debug, thiserror::Error)]
@@ -71,6 +74,9 @@ pub enum RasterError {
     /// More memory is needed than available.
     #[error(transparent)]
     Memory(#[from] crate::memory::MemoryError),
+    /// Points cannot be read or are damaged.
+    #[error(transparent)]
+    Points(#[from] FileError),
     /// More points than a 32-bit index can address.
     #[error("expected at most {max} points in one job, found {found}")]
     TooManyPoints {
@@ -78,6 +84,20 @@ pub enum RasterError {
         found: u64,
         /// 2³² − 2.
         max: u64,
+    },
+    /// What a single frame shows does not fit into the memory budget for points.
+    #[error(
+        "the cameras of a frame may see points of {} MiB, but {} MiB are allowed ({option}): allow more, or render \
+            less far or fewer cameras",
+        needed_bytes.div_ceil(1 << 20), allowed_bytes >> 20
+    )]
+    PointBudget {
+        /// Bytes for the points of the frame.
+        needed_bytes: u64,
+        /// Budget, bytes.
+        allowed_bytes: u64,
+        /// Option of the command that sets it.
+        option: &'static str,
     },
     /// A row of an image does not fit into any buffer of the device.
     #[error("image width {width} exceeds the device's buffer limit")]

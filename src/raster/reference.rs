@@ -4,6 +4,7 @@
 //! Every `f32` operation is in the same order as in `glsl/splat.vert` and `glsl/project.wgsl`. Neither side
 //! fuses multiplications with additions (the shaders by `NoContraction`), so the results are bit-exact.
 
+use std::borrow::Cow;
 use std::time::Instant;
 
 use super::frame::frame_by_views;
@@ -12,7 +13,7 @@ use super::{
     CloudSet, Draw, FrameJob, FrameMaps, MapKind, MapSet, RasterError, Rasterizer, RasterizerInfo, SplatJob,
     SplatMaps, SplatSchedule, StageTimes, draws_from_job,
 };
-use crate::cloud::{Bounds, Point};
+use crate::cloud::{Bounds, Cloud, Point};
 
 /// The CPU reference as a [`Rasterizer`].
 pub struct ReferenceRasterizer<'a> {
@@ -23,9 +24,9 @@ pub struct ReferenceRasterizer<'a> {
 }
 
 impl<'a> ReferenceRasterizer<'a> {
-    /// Creates a rasterizer that borrows the clouds; nothing is copied.
+    /// Creates a rasterizer that borrows the clouds. Nothing is copied; stored ones are read for every view.
     pub fn new(clouds: CloudSet<'a>) -> Self {
-        let extents = clouds.iter().map(|c| (c.len(), Bounds::of(*c))).collect();
+        let extents = clouds.iter().map(|cloud| (cloud.len(), cloud.bounds())).collect();
         Self { clouds, extents, stages: StageTimes::default(), done: CompletedFrames::default() }
     }
 }
@@ -48,15 +49,16 @@ impl Rasterizer for ReferenceRasterizer<'_> {
 
     fn splat(&mut self, job: &SplatJob<'_>) -> Result<SplatMaps, RasterError> {
         let draws = draws_from_job(job, &self.extents)?;
+        let clouds: Vec<Cow<'_, [Point]>> = self.clouds.iter().map(Cloud::points).collect::<Result<_, _>>()?;
         let camera = &job.view.camera;
         let start = Instant::now();
         let mut buffer = Visibility::new(camera.width, camera.height);
         for (index, draw) in draws.iter().enumerate() {
-            buffer.splat(self.clouds[draw.cloud], draw, index as u32, job.schedule);
+            buffer.splat(&clouds[draw.cloud], draw, index as u32, job.schedule);
         }
         self.stages.add("splat", start.elapsed());
         let start = Instant::now();
-        let maps = buffer.resolve(&self.clouds, &draws, job.maps);
+        let maps = buffer.resolve(&clouds, &draws, job.maps);
         self.stages.add("resolve", start.elapsed());
         Ok(maps)
     }
@@ -103,7 +105,7 @@ impl Visibility {
         }
     }
 
-    fn resolve(self, clouds: &[&[Point]], draws: &[Draw], maps: MapSet) -> SplatMaps {
+    fn resolve(self, clouds: &[Cow<'_, [Point]>], draws: &[Draw], maps: MapSet) -> SplatMaps {
         let (depths, winners) = (&self.depth_m, &self.winner);
         let plane = |wanted: bool, value: &dyn Fn(&Draw, u32) -> u32| -> Vec<u32> {
             if !wanted {

@@ -4,8 +4,6 @@ use glam::{DAffine3, DVec3};
 use serde::Serialize;
 
 use super::{ActorState, SceneState, Substitutes};
-use crate::cloud::Point;
-use crate::error::FileError;
 use crate::raster::{CloudSet, Instance};
 use crate::skeleton::{Skeleton, TemplateKind};
 use crate::{named, named_in_files};
@@ -66,28 +64,22 @@ pub struct SceneClouds<'a> {
 
 impl<'a> SceneClouds<'a> {
     /// Creates the scene clouds of a skeleton for one of its source logs, without substitutes.
-    ///
-    /// # Errors
-    /// Fails if points of the skeleton do not match their checksum.
-    pub fn new(skeleton: &'a Skeleton, log: &str) -> Result<Self, FileError> {
+    pub fn new(skeleton: &'a Skeleton, log: &str) -> Self {
         static NONE: Substitutes = Substitutes::NONE;
         Self::with(skeleton, log, &NONE)
     }
 
     /// Creates the scene clouds of a skeleton for one of its source logs, with substitutes.
-    ///
-    /// # Errors
-    /// Fails if points of the skeleton do not match their checksum.
-    pub fn with(skeleton: &'a Skeleton, log: &str, substitutes: &'a Substitutes) -> Result<Self, FileError> {
+    pub fn with(skeleton: &'a Skeleton, log: &str, substitutes: &'a Substitutes) -> Self {
         let manifest = &skeleton.manifest;
-        let mut clouds = Self::clouds(skeleton)?;
+        let mut clouds = skeleton.clouds();
         let first_asset = manifest.background.len();
         let first_template = first_asset + manifest.actors.len();
         let mut assets = BTreeMap::new();
         for (cloud, asset) in (first_asset..).zip(&manifest.actors).filter(|(_, asset)| asset.log == log) {
             assets.insert(asset.track.as_str(), cloud);
             if let Some(points) = substitutes.assets.get(&asset.track) {
-                clouds[cloud] = points;
+                clouds[cloud] = points.into();
             }
         }
         let own = (first_template..).zip(&manifest.templates);
@@ -95,7 +87,7 @@ impl<'a> SceneClouds<'a> {
             own.map(|(cloud, t)| (t.kind, (cloud, DVec3::from(t.size)))).collect();
         for (template, points) in &substitutes.templates {
             templates.entry(template.kind).or_insert_with(|| {
-                clouds.push(points);
+                clouds.push(points.into());
                 (clouds.len() - 1, DVec3::from(template.size))
             });
         }
@@ -103,21 +95,10 @@ impl<'a> SceneClouds<'a> {
         for track in assets.keys() {
             if let Some(points) = substitutes.color_assets.get(*track) {
                 color_assets.insert(*track, clouds.len());
-                clouds.push(points);
+                clouds.push(points.into());
             }
         }
-        Ok(Self { skeleton, clouds, assets, color_assets, templates })
-    }
-
-    /// Returns all clouds of a skeleton for a rasterizer: background chunks, then assets, then templates.
-    ///
-    /// # Errors
-    /// Fails if points do not match their checksum.
-    pub fn clouds(skeleton: &'a Skeleton) -> Result<CloudSet<'a>, FileError> {
-        let mut clouds: Vec<&[Point]> = skeleton.background()?;
-        clouds.extend(skeleton.actors()?);
-        clouds.extend(skeleton.templates()?);
-        Ok(clouds)
+        Self { skeleton, clouds, assets, color_assets, templates }
     }
 
     /// Returns all clouds for a rasterizer, substitutes included.
@@ -182,11 +163,13 @@ fn fit(how: TemplateFit, template_size_m: DVec3, size_m: DVec3) -> DAffine3 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::cloud::Bounds;
+    use crate::cloud::{Bounds, Point};
+    use crate::error::FileError;
     use crate::dataset::Class;
+    use crate::files::Checksum;
     use crate::geometry::{Cuboid, Pose};
     use crate::skeleton::{
-        Asset, BuildOptions, BuildReport, Checksum, Chunk, SkeletonWriter, Template, TemplateCloud,
+        Asset, BuildOptions, BuildReport, Chunk, SkeletonWriter, Template, TemplateCloud,
     };
 
     fn cube(count: usize) -> (Vec<Point>, Bounds) {
@@ -252,7 +235,7 @@ mod tests {
     fn the_two_clouds_table_is_followed() {
         let folder = tempfile::tempdir().unwrap();
         let skeleton = skeleton(&folder.path().join("s"));
-        let scene_clouds = SceneClouds::new(&skeleton, "log").unwrap();
+        let scene_clouds = SceneClouds::new(&skeleton, "log");
         let options = SelectionOptions { min_actor_points: 20, template_fit: TemplateFit::Box };
         let shown = |track: &str, category: &str| shown(&scene_clouds, actor(track, category), &options);
         assert_eq!(shown("big", "vehicle.car"), [Some(1), Some(1)]);
@@ -270,7 +253,7 @@ mod tests {
         let skeleton = skeleton(&folder.path().join("s"));
         let templates = vec![template(TemplateKind::Truck, 7), template(TemplateKind::Bus, 7)];
         let substitutes = Substitutes { templates, ..Substitutes::NONE };
-        let scene_clouds = SceneClouds::with(&skeleton, "log", &substitutes).unwrap();
+        let scene_clouds = SceneClouds::with(&skeleton, "log", &substitutes);
         let options = SelectionOptions { min_actor_points: 20, template_fit: TemplateFit::Box };
         let shown = |track: &str, category: &str| shown(&scene_clouds, actor(track, category), &options);
         assert_eq!(shown("truck", "vehicle.truck"), [Some(3), Some(3)]);
@@ -288,7 +271,7 @@ mod tests {
         // The big car loses points, the small one gains some.
         let assets = [("big".to_owned(), cube(12).0), ("small".to_owned(), cube(40).0)].into();
         let substitutes = Substitutes { templates, assets, ..Substitutes::NONE };
-        let scene_clouds = SceneClouds::with(&skeleton, "log", &substitutes).unwrap();
+        let scene_clouds = SceneClouds::with(&skeleton, "log", &substitutes);
         let options = SelectionOptions { min_actor_points: 20, template_fit: TemplateFit::Box };
         let shown = |track: &str, category: &str| shown(&scene_clouds, actor(track, category), &options);
         assert_eq!(shown("big", "vehicle.car"), [Some(1), Some(4)]);
@@ -302,7 +285,7 @@ mod tests {
     fn a_template_fills_the_box() {
         let folder = tempfile::tempdir().unwrap();
         let skeleton = skeleton(&folder.path().join("s"));
-        let scene_clouds = SceneClouds::new(&skeleton, "log").unwrap();
+        let scene_clouds = SceneClouds::new(&skeleton, "log");
         let corner = |template_fit| {
             let options = SelectionOptions { template_fit, ..SelectionOptions::default() };
             let (_, geometry) = scene_clouds.actor_instances(&actor("new", "vehicle.car"), 1, &options);
@@ -329,12 +312,12 @@ mod tests {
             map: None,
         };
         let options = SelectionOptions { min_actor_points: 20, ..SelectionOptions::default() };
-        let both = SceneClouds::new(&skeleton, "log").unwrap().instances(&state, &options);
+        let both = SceneClouds::new(&skeleton, "log").instances(&state, &options);
         let list = |instances: &[Instance]| instances.iter().map(|i| (i.cloud, i.number)).collect::<Vec<_>>();
         assert_eq!(list(&both.color), [(0, 0), (1, 1), (2, 3)]);
         assert_eq!(list(&both.geometry), [(0, 0), (1, 1), (4, 2), (4, 3)]);
         assert_eq!(both.color[0].world_from_local.translation, DVec3::new(100.0, 200.0, 0.0));
-        assert_eq!(SceneClouds::clouds(&skeleton).unwrap().len(), 6);
+        assert_eq!(skeleton.clouds().len(), 6);
     }
 
     /// A degraded asset of color maps leaves the geometry, and the count of points that decides on it, as
@@ -346,7 +329,7 @@ mod tests {
         let degraded = |track: &str| (track.to_owned(), cube(3).0);
         let color_assets = ["big", "small", "unknown"].map(degraded).into_iter().collect();
         let substitutes = Substitutes { color_assets, ..Substitutes::NONE };
-        let scene_clouds = SceneClouds::with(&skeleton, "log", &substitutes).unwrap();
+        let scene_clouds = SceneClouds::with(&skeleton, "log", &substitutes);
         let options = SelectionOptions { min_actor_points: 20, template_fit: TemplateFit::Box };
         let shown = |track: &str, category: &str| shown(&scene_clouds, actor(track, category), &options);
         assert_eq!(shown("big", "vehicle.car"), [Some(6), Some(1)]);

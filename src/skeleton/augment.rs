@@ -182,7 +182,7 @@ fn seen(points: &[Point], view: &View, bounds: &Bounds, radius_m: f64) -> Option
     let instances = [Instance { cloud: 0, world_from_local: DAffine3::IDENTITY, number: 1 }];
     let maps = MapSet::of(&[MapKind::Depth]);
     let job = SplatJob { view, schedule: &schedule, instances: &instances, crop: None, maps };
-    let maps = ReferenceRasterizer::new(vec![points]).splat(&job).ok()?;
+    let maps = ReferenceRasterizer::new(vec![points.into()]).splat(&job).ok()?;
     let draws = draws_from_job(&job, &[(points.len(), Some(*bounds))]).ok()?;
     let draw = draws.first()?;
     let surface_m = (SURFACE_RADII * radius_m + SURFACE_APART * apart_m) as f32;

@@ -2,10 +2,10 @@
 
 use std::path::Path;
 
-use super::Checksum;
 use super::manifest::{Asset, Chunk, Template};
 use crate::cloud::Point;
 use crate::error::FileError;
+use crate::files::Checksum;
 
 /// Manifest entry of a cloud in a file of points.
 pub(in crate::skeleton) trait Entry: Sync {

@@ -3,10 +3,11 @@ use std::path::Path;
 
 use glam::DVec3;
 
-use super::{Asset, BuildOptions, BuildReport, CHUNK_M, Checksum, Chunk, Skeleton, SkeletonWriter, Source};
-use crate::cloud::{Bounds, Point};
+use super::{Asset, BuildOptions, BuildReport, CHUNK_M, Chunk, Skeleton, SkeletonWriter, Source};
+use crate::cloud::{Bounds, Point, sort_in_space};
 use crate::dataset::Class;
 use crate::error::FileError;
+use crate::files::Checksum;
 use crate::skeleton::manifest::{check_position, check_size};
 
 /// Point in the global frame.
@@ -37,8 +38,7 @@ pub struct AssetPoints {
 
 impl Skeleton {
     /// Writes a skeleton of colored points from another source to a folder, under the name of a log. An
-    /// existing skeleton is replaced. Points retain their order within a chunk of the background and within
-    /// an asset.
+    /// existing skeleton is replaced. Points of a chunk of the background and of an asset are sorted in space.
     ///
     /// # Errors
     /// Fails if there is no background point, if a track occurs twice, if a position or size is beyond the
@@ -64,6 +64,7 @@ impl Skeleton {
         if chunks.is_empty() {
             return Err(FileError::content("a point of the background", "none", folder));
         }
+        chunks.values_mut().for_each(sort_in_space);
         assets.sort_by(|a, b| a.track.cmp(&b.track));
         if let Some(pair) = assets.windows(2).find(|pair| pair[0].track == pair[1].track) {
             return Err(FileError::content("tracks once each", format!("two {:?}", pair[0].track), folder));
@@ -75,6 +76,7 @@ impl Skeleton {
                 check_position("a position", point.position.map(f64::from), of, folder)?;
             }
         }
+        assets.iter_mut().for_each(|asset| sort_in_space(&mut asset.points));
         let report = BuildReport {
             points_read: background.len() + assets.iter().map(|asset| asset.points.len()).sum::<usize>(),
             background_points: background.len(),

@@ -4,10 +4,11 @@ use std::path::Path;
 use glam::{DVec3, Vec3};
 use serde::{Deserialize, Serialize};
 
-use super::{BuildOptions, Checksum};
+use super::BuildOptions;
 use crate::cloud::Bounds;
 use crate::dataset::{Class, Recording};
 use crate::error::FileError;
+use crate::files::Checksum;
 use crate::geometry::{MAX_COORDINATE_M, MAX_SIDE_M, MIN_SIDE_M, is_position, is_size};
 
 /// Contents of `skeleton.json`: description of the point files. Each file stores the clouds of its list
@@ -24,6 +25,8 @@ pub struct Manifest {
     pub options: BuildOptions,
     /// Counts of the build: points used and dropped.
     pub report: BuildReport,
+    /// Checksums of the tables of pages.
+    pub pages: PageChecksums,
     /// Chunks of the static background, in `background.points`.
     pub background: Vec<Chunk>,
     /// Assets, one per track, sorted by track, then log, in `actors.points`.
@@ -90,7 +93,7 @@ impl Manifest {
     /// Format identifier in the manifest.
     pub const FORMAT: &'static str = "point-skeleton";
     /// Format version; incremented when older readers would misread a skeleton.
-    pub const VERSION: u32 = 3;
+    pub const VERSION: u32 = 4;
 
     /// Returns the first and last time used of a log, absolute microseconds; `None` if the skeleton was not
     /// built from it.
@@ -131,10 +134,30 @@ impl Default for Manifest {
             sources: Vec::new(),
             options: BuildOptions::default(),
             report: BuildReport::default(),
+            pages: PageChecksums::default(),
             background: Vec::new(),
             actors: Vec::new(),
             templates: Vec::new(),
         }
+    }
+}
+
+/// Checksums of the tables of pages (see [`paged`](crate::cloud::paged)), by the file of their points.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct PageChecksums {
+    /// Of `background.pages`.
+    pub background: Checksum,
+    /// Of `actors.pages`.
+    pub actors: Checksum,
+    /// Of `templates.pages`.
+    pub templates: Checksum,
+}
+
+/// Returns the checksums of empty tables.
+impl Default for PageChecksums {
+    fn default() -> Self {
+        let empty = Checksum::of::<u8>(&[]);
+        Self { background: empty, actors: empty, templates: empty }
     }
 }
 

@@ -8,7 +8,6 @@
 //! memory-mapped.
 
 mod augment;
-mod checksum;
 mod entry;
 mod export;
 mod from_points;
@@ -20,12 +19,11 @@ mod templates;
 mod trajectory;
 
 pub use augment::{AugmentOptions, Augmentation, augment};
-pub use checksum::Checksum;
 pub use from_points::{AssetPoints, GlobalPoint};
 pub use ingest::projector::Projector;
 pub use ingest::split::{Part, SplitOptions, Splitter};
 pub use ingest::{BuildError, BuildInput, BuildRun, Progress, build, open_or_build, unfinished_frames};
-pub use manifest::{Asset, BuildReport, CategoryCounts, Chunk, Manifest, Source, Template};
+pub use manifest::{Asset, BuildReport, CategoryCounts, Chunk, Manifest, PageChecksums, Source, Template};
 pub use options::{BuildOptions, Coloring};
 pub use store::{GenerateTemplates, Skeleton, SkeletonWriter};
 pub use templates::{

@@ -1,29 +1,34 @@
-//! Skeleton on disk: a folder with `skeleton.json` and three memory-mapped files of 16-byte points.
+//! Skeleton on disk: a folder with `skeleton.json`, three files of 16-byte points, and a table of pages for each.
+//!
+//! # How it works
+//! Renderers read pages when they are seen ([`Skeleton::clouds`]). Whoever needs all points maps their file
+//! ([`Skeleton::background`]).
 
-use std::fs::File;
-use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 
 use rayon::prelude::*;
 
 use super::entry::Entry;
-use super::manifest::{Asset, BuildReport, Chunk, Manifest, Source, Template};
-use super::{BuildOptions, Checksum};
-use crate::cloud::Point;
+use super::manifest::{Asset, BuildReport, Chunk, Manifest, PageChecksums, Source, Template};
+use super::BuildOptions;
+use crate::cloud::paged::{PagedFile, PagedWriter, StoredCloud};
+use crate::cloud::{Cloud, Point};
 use crate::dataset::{Recording, is_fingerprint};
 use crate::error::FileError;
 use crate::files::input::{is_taken, read_table};
 use crate::files::{
-    Inputs, SKELETON as KIND, WholeFolder, WorkFolder, check_whole, inputs_of_whole, json, write_json,
+    Checksum, Inputs, SKELETON as KIND, WholeFolder, WorkFolder, check_whole, inputs_of_whole, json, write_json,
     write_whole_by,
 };
 use crate::gpu::MappedFile;
 
 const MANIFEST: &str = "skeleton.json";
-const BACKGROUND: &str = "background.points";
-const ACTORS: &str = "actors.points";
-const TEMPLATES: &str = "templates.points";
+/// File of points and table of pages.
+type PointFiles = [&'static str; 2];
+const BACKGROUND: PointFiles = ["background.points", "background.pages"];
+const ACTORS: PointFiles = ["actors.points", "actors.pages"];
+const TEMPLATES: PointFiles = ["templates.points", "templates.pages"];
 
 /// Function that generates templates from the assets of a skeleton: manifest entries with their points.
 pub type GenerateTemplates<'a> =
@@ -32,9 +37,9 @@ pub type GenerateTemplates<'a> =
 /// Writer of a skeleton, cloud by cloud: chunks, then assets, then templates, each in their final order.
 pub struct SkeletonWriter {
     folder: PathBuf,
-    background: PointFile,
-    actors: PointFile,
-    templates: PointFile,
+    background: PagedWriter,
+    actors: PagedWriter,
+    templates: PagedWriter,
     manifest: Manifest,
 }
 
@@ -73,7 +78,10 @@ impl SkeletonWriter {
     }
 
     fn new(folder: &Path) -> Result<Self, FileError> {
-        let file = |name: &str| PointFile::create(&folder.join(name));
+        let file = |files: PointFiles| {
+            let [points, pages] = files.map(|name| folder.join(name));
+            PagedWriter::create(&points, &pages)
+        };
         Ok(Self {
             folder: folder.to_owned(),
             background: file(BACKGROUND)?,
@@ -116,7 +124,7 @@ impl SkeletonWriter {
     /// Returns any error of `make`. Fails if a file cannot be read or written.
     pub fn templates_from(&mut self, make: &GenerateTemplates) -> Result<(), FileError> {
         self.actors.flush()?;
-        let file = MappedFile::open(&self.actors.path)?;
+        let file = MappedFile::open(self.actors.path())?;
         let clouds = slices(&file, self.manifest.actors.iter().map(|a| a.points));
         let assets: Vec<(&Asset, &[Point])> = self.manifest.actors.iter().zip(clouds).collect();
         for (template, points) in make(&assets)? {
@@ -125,7 +133,7 @@ impl SkeletonWriter {
         Ok(())
     }
 
-    /// Flushes all files, then writes the manifest.
+    /// Writes the tables of pages, then the manifest.
     ///
     /// # Errors
     /// Fails if a file cannot be written, or if a position, bound or size is beyond the limits of all files.
@@ -135,9 +143,11 @@ impl SkeletonWriter {
         options: BuildOptions,
         report: BuildReport,
     ) -> Result<(), FileError> {
-        [&mut self.background, &mut self.actors, &mut self.templates]
-            .into_iter()
-            .try_for_each(PointFile::flush)?;
+        self.manifest.pages = PageChecksums {
+            background: self.background.finish()?,
+            actors: self.actors.finish()?,
+            templates: self.templates.finish()?,
+        };
         (self.manifest.sources, self.manifest.options, self.manifest.report) = (sources, options, report);
         let path = self.folder.join(MANIFEST);
         // A skeleton that cannot be opened must not replace one that can.
@@ -146,36 +156,15 @@ impl SkeletonWriter {
     }
 }
 
-/// Append-only file of points.
-struct PointFile {
-    path: PathBuf,
-    file: BufWriter<File>,
-}
-
-impl PointFile {
-    fn create(path: &Path) -> Result<Self, FileError> {
-        let file = File::create(path).map_err(FileError::io("create", path))?;
-        Ok(Self { path: path.to_owned(), file: BufWriter::with_capacity(1 << 20, file) })
-    }
-
-    fn add(&mut self, points: &[Point]) -> Result<(), FileError> {
-        self.file.write_all(bytemuck::cast_slice(points)).map_err(FileError::io("write", &self.path))
-    }
-
-    fn flush(&mut self) -> Result<(), FileError> {
-        self.file.flush().map_err(FileError::io("write", &self.path))
-    }
-}
-
-/// Skeleton on disk, memory-mapped.
+/// Skeleton on disk.
 #[derive(Debug)]
 pub struct Skeleton {
     /// Contents of the point files.
     pub manifest: Manifest,
     path: PathBuf,
-    background: MappedPoints,
-    actors: MappedPoints,
-    templates: MappedPoints,
+    background: PointStore,
+    actors: PointStore,
+    templates: PointStore,
 }
 
 impl Skeleton {
@@ -184,8 +173,8 @@ impl Skeleton {
         is_taken(&path.join(MANIFEST))
     }
 
-    /// Maps a skeleton's files and validates their sizes against the manifest. Checksums are validated on
-    /// first access.
+    /// Opens a skeleton's files and validates their sizes against the manifest, and the tables of pages. Points
+    /// are validated when they are read.
     ///
     /// # Errors
     /// Fails if a file is missing or damaged, or has another format or version.
@@ -193,20 +182,11 @@ impl Skeleton {
         let format = (Manifest::FORMAT, Manifest::VERSION);
         let manifest: Manifest = read_manifest(&path.join(MANIFEST), "a skeleton manifest", format)?;
         manifest.check(&path.join(MANIFEST))?;
-        let map = |name: &str, points: u128| {
-            let file = path.join(name);
-            let mapped = MappedFile::open(&file)?;
-            let (found, expected) = (mapped.as_bytes().len() as u128, points * size_of::<Point>() as u128);
-            if found != expected {
-                let expected = format!("{expected} bytes ({points} points)");
-                return Err(FileError::content(expected, format!("{found} bytes"), &file));
-            }
-            Ok(MappedPoints { path: file, map: mapped, checked: OnceLock::new() })
-        };
+        let Manifest { pages, background, actors, templates, .. } = &manifest;
         Ok(Self {
-            background: map(BACKGROUND, total(manifest.background.iter().map(|c| c.points)))?,
-            actors: map(ACTORS, total(manifest.actors.iter().map(|a| a.points)))?,
-            templates: map(TEMPLATES, total(manifest.templates.iter().map(|t| t.points)))?,
+            background: PointStore::open(path, BACKGROUND, background, pages.background)?,
+            actors: PointStore::open(path, ACTORS, actors, pages.actors)?,
+            templates: PointStore::open(path, TEMPLATES, templates, pages.templates)?,
             path: path.to_owned(),
             manifest,
         })
@@ -273,6 +253,13 @@ impl Skeleton {
         &self.path
     }
 
+    /// Returns all clouds for a rasterizer: background chunks, then assets, then templates. Their points are read
+    /// and validated when they are rendered.
+    pub fn clouds(&self) -> Vec<Cloud<'_>> {
+        let files = [&self.background, &self.actors, &self.templates];
+        files.into_iter().flat_map(|store| store.paged.clouds().map(Cloud::Stored)).collect()
+    }
+
     /// Returns the points of each background chunk.
     ///
     /// # Errors
@@ -297,51 +284,63 @@ impl Skeleton {
         self.templates.clouds(&self.manifest.templates)
     }
 
-    /// Validates all points now; returns one error for each damaged chunk, asset and template.
+    /// Validates all points now; returns one error for each chunk, asset and template that is damaged or cannot
+    /// be read.
     pub fn damage(&self) -> Vec<FileError> {
-        let Self { manifest, background, actors, templates, .. } = self;
-        let mut damage = background.damage(&manifest.background);
-        damage.extend(actors.damage(&manifest.actors));
-        damage.extend(templates.damage(&manifest.templates));
-        damage
+        let files = [&self.background, &self.actors, &self.templates];
+        let clouds: Vec<StoredCloud> = files.into_iter().flat_map(|store| store.paged.clouds()).collect();
+        clouds.par_iter().filter_map(|cloud| cloud.check().err()).collect()
     }
 }
 
-/// Memory-mapped file of points.
+/// A file of points.
 #[derive(Debug)]
-struct MappedPoints {
+struct PointStore {
     path: PathBuf,
-    map: MappedFile,
+    paged: PagedFile,
+    /// Set when all points are first needed.
+    mapped: OnceLock<MappedFile>,
     /// Set once all checksums were validated.
     checked: OnceLock<()>,
 }
 
-impl MappedPoints {
+impl PointStore {
+    fn open(
+        folder: &Path,
+        files: PointFiles,
+        entries: &[impl Entry],
+        xxh3: Checksum,
+    ) -> Result<Self, FileError> {
+        let [path, table] = files.map(|name| folder.join(name));
+        let clouds = entries.iter().enumerate().map(|(i, entry)| (entry.name(i), entry.points()));
+        let paged = PagedFile::open(&path, &table, clouds, xxh3)?;
+        Ok(Self { path, paged, mapped: OnceLock::new(), checked: OnceLock::new() })
+    }
+
     /// Returns the clouds that entries of a manifest describe; validates their checksums on first use.
     fn clouds(&self, entries: &[impl Entry]) -> Result<Vec<&[Point]>, FileError> {
         if self.checked.get().is_none() {
-            self.damage(entries).into_iter().next().map_or(Ok(()), Err)?;
+            let numbered = entries.par_iter().zip(self.slices(entries)?).enumerate();
+            let damage = numbered.filter_map(|(i, (entry, cloud))| entry.check(i, cloud, &self.path).err());
+            damage.find_first(|_| true).map_or(Ok(()), Err)?;
             // Another thread may have set the same value.
             let _ = self.checked.set(());
         }
-        Ok(self.slices(entries))
+        self.slices(entries)
     }
 
-    /// Returns an error for each cloud that does not match its checksum, in the order of the file.
-    fn damage(&self, entries: &[impl Entry]) -> Vec<FileError> {
-        let clouds = self.slices(entries);
-        let numbered = entries.par_iter().zip(clouds).enumerate();
-        numbered.filter_map(|(i, (entry, cloud))| entry.check(i, cloud, &self.path).err()).collect()
+    fn slices(&self, entries: &[impl Entry]) -> Result<Vec<&[Point]>, FileError> {
+        let mapped = match self.mapped.get() {
+            Some(mapped) => mapped,
+            None => {
+                let mapped = MappedFile::open(&self.path)?;
+                // It may have been replaced since it was opened.
+                self.paged.check_size(mapped.as_bytes().len() as u64)?;
+                self.mapped.get_or_init(|| mapped)
+            }
+        };
+        Ok(slices(mapped, entries.iter().map(Entry::points)))
     }
-
-    fn slices(&self, entries: &[impl Entry]) -> Vec<&[Point]> {
-        slices(&self.map, entries.iter().map(Entry::points))
-    }
-}
-
-/// Sums in `u128`, so that no manifest can cause an overflow.
-fn total(points: impl Iterator<Item = usize>) -> u128 {
-    points.map(|p| p as u128).sum()
 }
 
 /// Splits a file of points into clouds of given lengths, whose sum [`Skeleton::open`] has validated.
@@ -370,7 +369,10 @@ pub(in crate::skeleton) fn read_manifest<T: serde::de::DeserializeOwned>(
     let (format, version) = (&value["format"], &value["version"]);
     if format != own_format || version != own_version {
         let expected = format!("format {own_format:?} version {own_version}");
-        return Err(FileError::content(expected, format!("format {format} version {version}"), path));
+        let is_older = format == own_format && version.as_u64().is_some_and(|v| v < own_version.into());
+        let advice = if is_older { " (written by an earlier version of pskel: make it again)" } else { "" };
+        let found = format!("format {format} version {version}{advice}");
+        return Err(FileError::content(expected, found, path));
     }
     // From the text, whose errors have a place.
     json::parse(&text, what, path)

@@ -4,7 +4,7 @@
 use std::sync::Arc;
 
 use glam::{DAffine3, DMat3, DVec3};
-use point_skeleton::cloud::{self, Point};
+use point_skeleton::cloud::{self, Cloud, Point};
 use point_skeleton::conditions::{
     BinScale, CameraConditions, ConditionOptions, ConditionSet, DepthBins, ImageSize, MapKind, MapSet,
     Occlusion, reduce, render, render_views,
@@ -134,7 +134,7 @@ fn street() -> Street {
 
 impl Street {
     fn render(&self, options: &ConditionOptions) -> ConditionSet {
-        let mut rasterizer = ReferenceRasterizer::new(self.clouds.iter().map(Vec::as_slice).collect());
+        let mut rasterizer = ReferenceRasterizer::new(self.clouds.iter().map(Cloud::from).collect());
         render(&mut rasterizer, &self.instances, &self.state, options).unwrap()
     }
 }
@@ -189,7 +189,7 @@ fn sizes_radius_and_selection_are_applied() {
 fn maps_do_not_depend_on_other_requested_maps() {
     let street = street();
     let maps = |instances: &SceneInstances, maps: &str| {
-        let mut cpu = ReferenceRasterizer::new(street.clouds.iter().map(Vec::as_slice).collect());
+        let mut cpu = ReferenceRasterizer::new(street.clouds.iter().map(Cloud::from).collect());
         let options = ConditionOptions { maps: maps.parse().unwrap(), ..ConditionOptions::default() };
         render(&mut cpu, instances, &street.state, &options).unwrap().cameras.remove(0)
     };
@@ -269,7 +269,7 @@ fn map_layouts_have_the_colors_of_the_contract_row_by_row() {
     let (from, to) = (ImageSize { height: 36, width: 64 }, ImageSize { height: 9, width: 16 });
     assert_eq!(reduced.cameras[0].map, Some(reduce::pil_bilinear(&expected, from, to)));
     street.state.map = None;
-    let mut rasterizer = ReferenceRasterizer::new(street.clouds.iter().map(Vec::as_slice).collect());
+    let mut rasterizer = ReferenceRasterizer::new(street.clouds.iter().map(Cloud::from).collect());
     let error = render(&mut rasterizer, &street.instances, &street.state, &options).unwrap_err().to_string();
     assert!(error.contains("expected an HD map") && error.contains("step 000000"), "{error}");
 }
@@ -284,7 +284,7 @@ fn fixture_full_size_maps_agree_with_the_reference() {
     let instance = |cloud, number| Instance { cloud, number, world_from_local: DAffine3::IDENTITY };
     let both = vec![instance(0, 0), instance(1, 1)];
     let clouds = SceneInstances { color: both.clone(), geometry: both };
-    let mut rasterizer = ReferenceRasterizer::new(vec![&background, &actors]);
+    let mut rasterizer = ReferenceRasterizer::new(vec![(&background).into(), (&actors).into()]);
     let mut maps = |occlusion| -> Vec<CameraConditions> {
         let options = ConditionOptions { occlusion, ..ConditionOptions::default() };
         let views = [1, 4].map(|view: usize| views[view].clone());

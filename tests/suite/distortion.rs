@@ -110,7 +110,7 @@ fn options(maps: &[MapKind]) -> ConditionOptions {
 
 impl Wall {
     fn render(&self, state: &SceneState, options: &ConditionOptions) -> ConditionSet {
-        let mut rasterizer = ReferenceRasterizer::new(vec![&self.points]);
+        let mut rasterizer = ReferenceRasterizer::new(vec![(&self.points).into()]);
         let all = vec![Instance { cloud: 0, number: 1, world_from_local: DAffine3::IDENTITY }];
         let clouds = SceneInstances { color: all.clone(), geometry: all };
         render(&mut rasterizer, &clouds, state, options).unwrap()

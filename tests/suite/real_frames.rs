@@ -38,7 +38,7 @@ fn all_rasterizers_draw_a_real_frame_alike() {
     let scratch = tempfile::tempdir().unwrap();
     let skeleton = skeleton_of(&scratch.path().join("s"), &drive, &[3, 4, 5], &BuildOptions::default());
     let state = state_of_frame(drive.recording(), 4, EgoOffset::default()).unwrap();
-    let stage = SceneClouds::with(&skeleton, &drive.recording().name, Substitutes::built_in()).unwrap();
+    let stage = SceneClouds::with(&skeleton, &drive.recording().name, Substitutes::built_in());
     let instances = stage.instances(&state, &SelectionOptions::default());
     assert_ne!(instances.color, instances.geometry, "templates replace some actors");
     let clouds = stage.cloud_set();

@@ -1,7 +1,7 @@
 //! The contact sheet of a small procedural street; the image remains in cargo's folder for test files.
 
 use glam::{DMat3, DQuat, DVec3, Vec3};
-use point_skeleton::cloud::Point;
+use point_skeleton::cloud::{Cloud, Point};
 use point_skeleton::conditions::view::sheet;
 use point_skeleton::conditions::{BinScale, ConditionOptions, ConditionSet, DepthBins, render};
 use point_skeleton::dataset::Class;
@@ -102,7 +102,7 @@ fn street() -> ConditionSet {
     let (name, map) = ("000000".into(), None);
     let state = SceneState { name, t_us: 0, global_from_ego: ego, cameras, actors, map };
     let scene = SceneInstances { color: instances.clone(), geometry: instances };
-    let mut rasterizer = ReferenceRasterizer::new(clouds.iter().map(Vec::as_slice).collect());
+    let mut rasterizer = ReferenceRasterizer::new(clouds.iter().map(Cloud::from).collect());
     render(&mut rasterizer, &scene, &state, &ConditionOptions::default()).unwrap()
 }
 

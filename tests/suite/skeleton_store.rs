@@ -4,7 +4,8 @@ use std::path::Path;
 
 use point_skeleton::cloud::{Bounds, Point};
 use point_skeleton::error::FileError;
-use point_skeleton::skeleton::{BuildOptions, BuildReport, Checksum, Chunk, Skeleton, SkeletonWriter};
+use point_skeleton::files::Checksum;
+use point_skeleton::skeleton::{BuildOptions, BuildReport, Chunk, Skeleton, SkeletonWriter};
 
 fn chunk() -> (Chunk, Vec<Point>) {
     let points: Vec<Point> = (0..10).map(|i| Point::new([i as f32, 0.5, -1.0], [i, 2, 3], 0)).collect();

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use glam::{DAffine3, DVec3};
-use point_skeleton::cloud::Point;
+use point_skeleton::cloud::{Cloud, Point};
 use point_skeleton::geometry::{Camera, View};
 use point_skeleton::gpu::{Device, DeviceDesc};
 use point_skeleton::raster::reference::ReferenceRasterizer;
@@ -53,7 +53,7 @@ pub fn rasterizers<'a>(
     let raster = GraphicsRasterizer::with_desc(device.clone(), clouds, division.raster);
     let mut all: Vec<Box<dyn Rasterizer + 'a>> = vec![Box::new(raster.unwrap_or_else(|e| panic!("{e}")))];
     for occlusion_culling in [true, false] {
-        let desc = CpuRasterizerDesc { occlusion_culling };
+        let desc = CpuRasterizerDesc { occlusion_culling, memory_bytes: None };
         all.push(Box::new(CpuRasterizer::with_desc(clouds.clone(), desc)));
     }
     if has_compute(device) {
@@ -127,7 +127,7 @@ impl Case {
 
     /// Renders maps with all rasterizers, which must agree.
     pub fn draw(&self, maps: MapSet) -> SplatMaps {
-        let clouds: CloudSet<'_> = self.clouds.iter().map(Vec::as_slice).collect();
+        let clouds: CloudSet<'_> = self.clouds.iter().map(Cloud::from).collect();
         let job = SplatJob {
             view: &self.view,
             schedule: &self.schedule,

@@ -3,8 +3,9 @@
 use glam::DVec3;
 use point_skeleton::cloud::{Bounds, Point};
 use point_skeleton::dataset::Class;
+use point_skeleton::files::Checksum;
 use point_skeleton::skeleton::{
-    Checksum, Template, TemplateCloud, TemplateKind, TemplateOptions, poisson_thin,
+    Template, TemplateCloud, TemplateKind, TemplateOptions, poisson_thin,
 };
 use rayon::prelude::*;
 

@@ -99,7 +99,7 @@ fn panel(points: &[Point], bounds: &Bounds, from: DVec3, up: DVec3) -> Result<Ve
     let instances = [Instance { cloud: 0, world_from_local: DAffine3::IDENTITY, number: 1 }];
     let maps = MapSet::of(&[MapKind::Depth]);
     let job = SplatJob { view: &view, schedule: &schedule, instances: &instances, crop: None, maps };
-    let maps = ReferenceRasterizer::new(vec![points]).splat(&job)?;
+    let maps = ReferenceRasterizer::new(vec![points.into()]).splat(&job)?;
     Ok(shaded(&maps.depth_m, 1.0 / pixels_per_m))
 }
 

@@ -13,8 +13,8 @@
 //! (`slot`), so the next frame can be begun meanwhile. Only streaming, and views that do not fit into one
 //! batch ("part"), take several submits.
 //!
-//! If the positions of all points exceed the memory budget, rows of positions are streamed, and the least
-//! recently drawn rows are evicted (`Residency`).
+//! Chunks are loaded when a camera may see them. If the memory budget is used up, the least recently drawn ones are
+//! evicted (`residency`): positions even within a frame, while the colors of all that a frame may show stay.
 //!
 //! # What was measured
 //! On lavapipe, 4 million points, in ms: workgroups of eight neighboring points instead of 64 took project
@@ -39,7 +39,7 @@ mod spread;
 mod store;
 mod tables;
 
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::sync::Arc;
 use std::time::Instant;
 
@@ -54,12 +54,14 @@ use self::results::{OwnedMaps, empty, read_maps, read_parts};
 use self::shared::{KEY_IMAGE_ROW_BYTES, KEY_STEP_BYTES, KeyCapacity, Shared};
 use self::slot::{Slot, SlotCapacities};
 use self::spread::SpreadStage;
-use self::store::{ROW_BYTES, Residency, STREAMED_ROWS, Store, StoreLimits};
+use self::store::{COLOR_ROW_BYTES, ROW_BYTES, STREAMED_ROWS, Store, StoreLimits};
 use super::chunk::ChunkedCloud;
 use super::frame::frame_by_views;
 use super::layers::Layers;
+use super::residency::Residency;
+use super::sight::{SeenInstance, seen_chunks, seen_instances};
 use super::{
-    CloudSet, FRAMES_IN_FLIGHT, FrameJob, FrameMaps, MapSet, Occlusion, RasterError, Rasterizer,
+    CloudSet, DEFAULT_MEMORY_BYTES, FRAMES_IN_FLIGHT, FrameJob, FrameMaps, MapSet, Occlusion, RasterError, Rasterizer,
     RasterizerInfo, SplatJob, SplatMaps, StageTimes,
 };
 use crate::geometry::ImageSize;
@@ -69,7 +71,8 @@ use crate::gpu::{Commands, Device, GpuError, PendingSubmit};
 /// on it.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct ComputeRasterizerDesc {
-    /// Memory budget for points on the device, bytes (20 per point); beyond it positions are streamed.
+    /// Memory budget for points on the device, bytes (20 per point); beyond it points are streamed. `None` for no
+    /// limit, and for [`DEFAULT_MEMORY_BYTES`] on a device that is the host's processor.
     pub memory_bytes: Option<u64>,
     /// Maximum number of 4096-point chunks per image.
     pub page_rows: Option<u32>,
@@ -86,7 +89,10 @@ pub struct ComputeRasterizer<'a> {
     device: Arc<Device>,
     commands: Commands,
     clouds: Vec<ChunkedCloud<'a>>,
+    /// Of positions.
     residency: Residency,
+    /// Of colors.
+    colors: Residency,
     shared: Arc<Shared>,
     /// Frames in flight, used in rotation; the last slot is reserved for synchronous work.
     slots: Vec<PendingSubmit<Shared, Slot>>,
@@ -115,7 +121,7 @@ impl<'a> ComputeRasterizer<'a> {
         device.atomics_64()
     }
 
-    /// Uploads all clouds.
+    /// Creates a rasterizer of clouds, whose points are loaded when they may be seen.
     ///
     /// # Errors
     /// Fails if memory is exhausted or the device lacks a required feature.
@@ -123,7 +129,7 @@ impl<'a> ComputeRasterizer<'a> {
         Self::with_desc(device, clouds, ComputeRasterizerDesc::default())
     }
 
-    /// Uploads all clouds, with other limits.
+    /// Creates a rasterizer with other limits.
     ///
     /// # Errors
     /// Fails if memory is exhausted or the device lacks a required feature.
@@ -144,12 +150,13 @@ impl<'a> ComputeRasterizer<'a> {
         let mut commands = Commands::new(&device)?;
         stages.add("set-up", start.elapsed());
         let start = Instant::now();
-        let clouds: Vec<ChunkedCloud<'a>> = clouds.iter().map(|cloud| ChunkedCloud::new(cloud)).collect();
+        let clouds: Vec<ChunkedCloud<'a>> = clouds.iter().map(|cloud| ChunkedCloud::new(*cloud)).collect();
         stages.add("sort", start.elapsed());
         let start = Instant::now();
         let streamed_rows = desc.streamed_rows.unwrap_or(STREAMED_ROWS).max(1);
-        let limits = StoreLimits { bytes: desc.memory_bytes, page_rows: desc.page_rows, streamed_rows };
-        let (store, residency) = Store::new(&device, &mut commands, project.layout(), &clouds, limits)?;
+        let bytes = desc.memory_bytes.or(device.is_cpu().then_some(DEFAULT_MEMORY_BYTES));
+        let limits = StoreLimits { bytes, page_rows: desc.page_rows, streamed_rows };
+        let (store, [residency, colors]) = Store::new(&device, &mut commands, project.layout(), &clouds, limits)?;
         stages.add("upload", start.elapsed());
         let copies = desc.copies || !device.shares_memory();
         let bare = Shared {
@@ -182,6 +189,7 @@ impl<'a> ComputeRasterizer<'a> {
             commands,
             clouds,
             residency,
+            colors,
             shared,
             slots,
             turn: 0,
@@ -205,8 +213,9 @@ impl<'a> ComputeRasterizer<'a> {
             return frame_by_views(job, &mut |job| self.splat(job)).map(FrameState::Done);
         };
         let start = Instant::now();
-        let firsts = self.residency.color_firsts();
-        let numbering = Numbering::new(layers.merge(job), &self.clouds, &firsts)?;
+        let seen = seen_instances(job, &layers, &self.clouds)?;
+        self.load_colors(job, &seen)?;
+        let numbering = Numbering::new(&seen, &self.clouds, &self.colors)?;
         self.stages.add("plan", start.elapsed());
         let work = Work { job, layers, cut: &cut, numbering: &numbering };
         if let [part] = cut.parts.as_slice() {
@@ -220,6 +229,33 @@ impl<'a> ComputeRasterizer<'a> {
             read_parts(self.slots[SYNC_SLOT].own(), &results, job.maps, &mut maps)?;
         }
         Ok(FrameState::Done(maps.into_iter().map(OwnedMaps::done).collect()))
+    }
+
+    /// Loads the colors of the chunks that a camera may see.
+    fn load_colors(&mut self, job: &FrameJob<'_>, seen: &[SeenInstance]) -> Result<(), RasterError> {
+        if self.colors.is_complete() || !job.maps.intersects(MapSet::RGB_CLASS) {
+            return Ok(());
+        }
+        self.colors.next_frame();
+        let mut needed = seen_chunks(job, seen, &self.clouds);
+        // The numbers of a reordered chunk's points are those of any chunks.
+        let reordered = |cloud: u32| self.clouds[cloud as usize].order().is_some();
+        let whole = |cloud: u32| (0..self.clouds[cloud as usize].chunks() as u32).map(move |chunk| (cloud, chunk));
+        let all: BTreeSet<u32> = needed.iter().map(|(cloud, _)| *cloud).filter(|cloud| reordered(*cloud)).collect();
+        needed.retain(|(cloud, _)| !reordered(*cloud));
+        needed.extend(all.into_iter().flat_map(whole));
+        if needed.len() > self.colors.rows() {
+            let [needed, allowed] = [needed.len(), self.colors.rows()].map(|rows| 2 * rows as u64 * COLOR_ROW_BYTES);
+            let (needed_bytes, allowed_bytes) = (needed, allowed);
+            return Err(RasterError::PointBudget { needed_bytes, allowed_bytes, option: "--gpu-memory" });
+        }
+        needed.retain(|(cloud, chunk)| self.colors.row(*cloud, *chunk).is_none());
+        let rows = self.colors.oldest(needed.len());
+        rows.iter().for_each(|row| self.colors.forget(*row));
+        let loads: Vec<(u32, u32, u32)> = needed.iter().zip(rows).map(|((cloud, chunk), row)| (*cloud, *chunk, row)).collect();
+        self.shared.store.load_colors(&self.device, &mut self.commands, &self.clouds, &loads)?;
+        loads.iter().for_each(|(cloud, chunk, row)| self.colors.replace(*cloud, *chunk, *row));
+        Ok(())
     }
 
     /// Plans and submits a batch: first the resident chunks, then the streamed ones, then the resolve.
@@ -292,11 +328,11 @@ impl<'a> ComputeRasterizer<'a> {
             let own = self.slots[slot].own();
             own.write_items(&items)?;
             if let Some(staging) = &own.staging {
-                let fill = |row: usize, words: &mut [[u32; 4]]| {
+                let bytes = &mut staging.map()?[..batch.len() * ROW_BYTES as usize];
+                store::fill_rows(bytes, |row, words: &mut [[u32; 4]], buffer| {
                     let (cloud, chunk) = batch[row];
-                    self.clouds[cloud as usize].write_row(chunk as usize, words);
-                };
-                store::fill_rows(&mut staging.map()?[..batch.len() * ROW_BYTES as usize], fill);
+                    self.clouds[cloud as usize].write_row(chunk as usize, words, buffer)
+                })?;
             }
             self.stages.add("stream from host", start.elapsed());
             phases.stream(&mut self.slots[slot], &self.shared, &rows, &runs)?;

@@ -8,6 +8,8 @@ use crate::raster::chunk::{CHUNK, ChunkedCloud};
 use crate::raster::cull::{joined, seen_blocks};
 use crate::raster::draw::draw_from_instance;
 use crate::raster::layers::{LayerInstance, Layers};
+use crate::raster::residency::Residency;
+use crate::raster::sight::SeenInstance;
 use crate::raster::{FrameJob, MapSet, RasterError, SplatJob};
 
 /// An instance whose points are numbered from `first` on.
@@ -24,40 +26,33 @@ pub(super) struct Numbering {
 }
 
 impl Numbering {
-    /// Numbers the instances; `color_firsts` are the first color indices of the clouds.
+    /// Numbers the instances that cameras may see; `colors` has the rows of their colors.
     ///
     /// # Errors
-    /// Fails for an unknown cloud or for too many points.
+    /// Fails for too many points.
     pub(super) fn new(
-        merged: Vec<LayerInstance>,
+        seen: &[SeenInstance],
         clouds: &[ChunkedCloud<'_>],
-        color_firsts: &[u32],
+        colors: &Residency,
     ) -> Result<Self, RasterError> {
-        let max = u64::from(u32::MAX) - 1;
-        let mut numbering = Self { instances: Vec::with_capacity(merged.len()), blocks: Vec::new() };
-        let (mut points, mut geometry_points) = (0_u64, 0_u64);
-        for layered in merged {
+        let mut numbering = Self { instances: Vec::with_capacity(seen.len()), blocks: Vec::new() };
+        for SeenInstance { layered, geometry_points } in seen {
             let id = layered.instance.cloud;
-            let cloud =
-                clouds.get(id).ok_or(RasterError::UnknownCloud { cloud: id, clouds: clouds.len() })?;
+            let chunks = clouds[id].chunks();
             let first = (numbering.blocks.len() * CHUNK) as u64;
-            points += cloud.len() as u64;
-            let end = first + (cloud.chunks() * CHUNK) as u64;
-            if points > max || end > 1 << 32 {
-                return Err(RasterError::TooManyPoints { found: points.max(end), max });
+            let end = first + (chunks * CHUNK) as u64;
+            if end > 1 << 32 {
+                return Err(RasterError::TooManyPoints { found: end, max: u64::from(u32::MAX) - 1 });
             }
             let first = first as u32;
-            let block = [
-                color_firsts[id].wrapping_sub(first),
-                (geometry_points as u32).wrapping_add(1).wrapping_sub(first),
-                layered.instance.number,
-                0,
-            ];
-            numbering.blocks.extend(std::iter::repeat_n(block, cloud.chunks()));
-            geometry_points += if layered.numbered { cloud.len() as u64 } else { 0 };
-            if layered.layers != 0 && cloud.len() > 0 {
-                numbering.instances.push(Numbered { layered, first });
-            }
+            let point = geometry_points.wrapping_add(1).wrapping_sub(first);
+            numbering.blocks.extend((0..chunks).map(|chunk| {
+                // No point of a chunk without a row is drawn.
+                let number = first + (chunk * CHUNK) as u32;
+                let color = colors.row_of(id, chunk).unwrap_or(0).wrapping_mul(CHUNK as u32).wrapping_sub(number);
+                [color, point, layered.instance.number, 0]
+            }));
+            numbering.instances.push(Numbered { layered: *layered, first });
         }
         Ok(numbering)
     }

@@ -6,6 +6,7 @@ use pulp::{Simd, WithSimd};
 
 use super::footprint::{Footprint, FootprintLanes, Footprints};
 use super::memory::prefetch;
+use super::arena::PackedBlock;
 use super::numbering::Numbered;
 use super::packed::{BoundsLanes, GROUP, GROUPS};
 use super::project::{Cells, Projection};
@@ -35,6 +36,7 @@ pub(super) struct Block<'b> {
     pub(super) draw: &'b StripDraw<'b>,
     /// Number of the block in its cloud.
     pub(super) block: usize,
+    pub(super) points: PackedBlock<'b>,
     /// Bit mask of the layers that its points are drawn into.
     pub(super) layers: u32,
     /// Whether the crop may exclude some of its points.
@@ -115,7 +117,7 @@ impl StripDraw<'_> {
     }
 }
 
-impl Block<'_> {
+impl<'b> Block<'b> {
     /// Returns whether what is drawn hides all points. `radius`: of the nearest.
     pub(super) fn is_hidden(
         self,
@@ -129,7 +131,7 @@ impl Block<'_> {
 
     /// Loads what [`Self::visible`] reads into the cache.
     pub(super) fn prefetch(self) {
-        prefetch(&self.draw.numbered.cloud.bounds[self.block]);
+        prefetch(self.points.bounds);
     }
 
     /// Returns the groups whose points may be visible. Those that what is drawn hides are not, if it `culls`.
@@ -157,7 +159,7 @@ impl Block<'_> {
 
     #[inline(always)]
     fn visible_groups(self, window: &Window, layers: &[Layer], culls: bool) -> GroupMask {
-        let lanes = self.draw.footprints.of(&self.draw.numbered.cloud.bounds[self.block]);
+        let lanes = self.draw.footprints.of(self.points.bounds);
         let mut groups = lanes.drawn();
         let tested = if culls { groups & lanes.within(CELLS_PER_POINT * GROUP) } else { 0 };
         for group in Ones(tested) {
@@ -177,7 +179,7 @@ impl Block<'_> {
 
     #[inline(always)]
     fn draw_groups(self, groups: GroupMask, layers: &mut [Layer]) {
-        let Numbered { cloud, first: first_number, .. } = *self.draw.numbered;
+        let first_number = self.draw.numbered.first;
         let mut cells = Cells::default();
         let mut ahead = Ones(groups);
         ahead.by_ref().take(GROUPS_AHEAD).for_each(drop);
@@ -185,9 +187,8 @@ impl Block<'_> {
             if let Some(later) = ahead.next() {
                 self.prefetch_group(later);
             }
-            let number = self.block * GROUPS + group;
-            self.draw.projection.cells(&cloud.positions[self.block].0[group], self.crops, &mut cells);
-            cells.number(first_number, number, cloud.index.get(number));
+            self.draw.projection.cells(&self.points.positions.0[group], self.crops, &mut cells);
+            cells.number(first_number, self.block * GROUPS + group, self.index(group));
             for (_, layer) in layers.iter_mut().enumerate().filter(|(i, _)| self.layers >> i & 1 == 1) {
                 cells.put(layer);
             }
@@ -196,10 +197,16 @@ impl Block<'_> {
 
     #[inline(always)]
     fn prefetch_group(self, group: usize) {
-        let cloud = self.draw.numbered.cloud;
-        prefetch(&cloud.positions[self.block].0[group]);
-        if let Some(index) = cloud.index.get(self.block * GROUPS + group) {
+        prefetch(&self.points.positions.0[group]);
+        if let Some(index) = self.index(group) {
             prefetch(index);
         }
+    }
+
+    /// Returns the index of each point of a group in the cloud; `None` if the order is the cloud's own.
+    #[inline(always)]
+    fn index(self, group: usize) -> Option<&'b [u32; GROUP]> {
+        let groups: &[[u32; GROUP]] = bytemuck::cast_slice(self.draw.numbered.cloud.chunked.order()?);
+        groups.get(self.block * GROUPS + group)
     }
 }

@@ -1,7 +1,8 @@
 //! The rasterizer for processors: vector code and threads, without a driver.
 //!
 //! # How it works
-//! Points are stored in blocks, coordinate by coordinate (`packed`), in huge pages (`memory`). A frame is cut
+//! Points are stored in blocks, coordinate by coordinate (`packed`), in huge pages (`memory`). The chunks that a
+//! camera may see are loaded before a frame, and others stay while memory lasts (`chunks`, `arena`). A frame is cut
 //! into row strips (`strips`), which are rendered independently of each other (`task`): a thread finds where
 //! the blocks of a strip may fall (`footprint`), tests them and then their groups against what is already
 //! drawn (`hidden`) and draws the others nearest first into visibility buffers (`blocks`, `project`,
@@ -17,7 +18,9 @@
 //! permuted points in groups, 6 to 36 strips per thread, loading six groups and eight blocks ahead. Most
 //! groups of the 100 million street would be drawn even if all cells were known from the start.
 
+mod arena;
 mod blocks;
+mod chunks;
 mod dilate;
 mod footprint;
 mod hidden;
@@ -36,13 +39,13 @@ use std::time::Instant;
 
 use rayon::prelude::*;
 
-use self::memory::HugeSlice;
+use self::chunks::Chunks;
 use self::numbering::Numbering;
-use self::packed::PackedCloud;
 use self::resolve::MapRows;
 use self::strips::{Sampling, strips};
 use self::task::{Scratch, Task};
 use super::layers::Layers;
+use super::sight::seen_instances;
 use super::{
     CloudSet, FRAMES_IN_FLIGHT, FrameJob, FrameMaps, MapKind, MapSet, Occlusion, Plane, RasterError,
     Rasterizer, RasterizerInfo, SplatJob, SplatMaps, StageTimes, ViewMaps,
@@ -54,11 +57,17 @@ use crate::geometry::ImageSize;
 pub struct CpuRasterizerDesc {
     /// Whether groups of points are skipped that what is already drawn hides.
     pub occlusion_culling: bool,
+    /// Memory budget for points, bytes (17 per point). `None` for [`DEFAULT_MEMORY_BYTES`], or what a single frame
+    /// needs if that is more.
+    pub memory_bytes: Option<u64>,
 }
+
+/// Memory that points may take by default, bytes.
+pub const DEFAULT_MEMORY_BYTES: u64 = 2 << 30;
 
 impl Default for CpuRasterizerDesc {
     fn default() -> Self {
-        Self { occlusion_culling: true }
+        Self { occlusion_culling: true, memory_bytes: None }
     }
 }
 
@@ -74,9 +83,7 @@ struct Maps {
 
 /// Rasterizer on the processor's threads.
 pub struct CpuRasterizer<'a> {
-    clouds: Vec<PackedCloud<'a>>,
-    /// Colors and classes of all clouds, in their own order.
-    colors: HugeSlice<u32>,
+    chunks: Chunks<'a>,
     desc: CpuRasterizerDesc,
     /// Memory of strips, reused from frame to frame.
     scratch: Mutex<Vec<Scratch>>,
@@ -88,27 +95,19 @@ pub struct CpuRasterizer<'a> {
 }
 
 impl<'a> CpuRasterizer<'a> {
-    /// Packs the clouds.
+    /// Creates a rasterizer of clouds, whose points are loaded when they may be seen.
     pub fn new(clouds: CloudSet<'a>) -> Self {
         Self::with_desc(clouds, CpuRasterizerDesc::default())
     }
 
-    /// Packs the clouds, with other options.
+    /// Creates a rasterizer with other options.
     pub fn with_desc(clouds: CloudSet<'a>, desc: CpuRasterizerDesc) -> Self {
         let mut stages = StageTimes::default();
         let start = Instant::now();
-        let mut colors: HugeSlice<u32> = HugeSlice::zeroed(clouds.iter().map(|cloud| cloud.len()).sum());
-        let mut first_color = 0;
-        let mut packed = Vec::with_capacity(clouds.len());
-        for cloud in clouds {
-            packed.push(PackedCloud::new(cloud, first_color));
-            let own = &mut colors[first_color..first_color + cloud.len()];
-            own.par_iter_mut().zip(cloud).for_each(|(color, point)| *color = point.rgb_class);
-            first_color += cloud.len();
-        }
+        let chunks = Chunks::new(clouds, desc.memory_bytes);
         stages.add("sort", start.elapsed());
         let (scratch, done, unused, shown) = Default::default();
-        Self { clouds: packed, colors, desc, scratch, done, unused, shown, stages }
+        Self { chunks, desc, scratch, done, unused, shown, stages }
     }
 
     fn render(&mut self, job: &FrameJob<'_>) -> Result<Maps, RasterError> {
@@ -123,7 +122,11 @@ impl<'a> CpuRasterizer<'a> {
         if layers.count == 0 {
             return Ok(maps);
         }
-        let numbering = Numbering::new(&layers.merge(job), &self.clouds, &self.colors)?;
+        let start = Instant::now();
+        let seen = seen_instances(job, &layers, &self.chunks.clouds)?;
+        self.chunks.load(job, &seen)?;
+        self.stages.add("load", start.elapsed());
+        let numbering = Numbering::new(&seen, &self.chunks)?;
         let threads = rayon::current_num_threads();
         let strips = strips(job, &samplings, threads)?;
         let mut rest = maps.rows();
@@ -145,6 +148,7 @@ impl<'a> CpuRasterizer<'a> {
             times
         });
         let times: Vec<StageTimes> = times.collect();
+        self.chunks.load_ahead(job);
         // Threads work at the same time: their mean is the share of the frame's time.
         for (stage, time) in times.iter().flat_map(|times| &times.0) {
             self.stages.add(stage, *time / threads as u32);

@@ -1,12 +1,18 @@
 //! Joint numbering for the points of a frame's instances.
 
+use super::arena::{BlockColors, PackedBlock};
+use super::chunks::Chunks;
 use super::memory::prefetch;
 use super::packed::PackedCloud;
-use crate::raster::layers::LayerInstance;
+use crate::cloud::{Cloud, Point};
+use crate::raster::chunk::CULL_BLOCK;
+use crate::raster::sight::SeenInstance;
 use crate::raster::{Instance, RasterError};
 
 /// Granularity of first numbers, so that a block of numbers belongs to one instance.
-const BLOCK: usize = 1024;
+const BLOCK: usize = CULL_BLOCK;
+/// Colors of a block that is not loaded, none of whose points is drawn.
+const BLACK: &BlockColors = &[0; CULL_BLOCK];
 
 /// An instance, and the numbers of its points: `first` and following.
 pub(super) struct Numbered<'c> {
@@ -15,60 +21,69 @@ pub(super) struct Numbered<'c> {
     pub(super) layers: u32,
     pub(super) cloud: &'c PackedCloud<'c>,
     pub(super) first: u32,
+    /// Loaded blocks.
+    pub(super) blocks: Vec<Option<PackedBlock<'c>>>,
 }
 
-/// The instances of a frame in order.
+/// The instances of a frame that cameras may see, in order.
 pub(super) struct Numbering<'c> {
     pub(super) instances: Vec<Numbered<'c>>,
-    blocks: Vec<Block>,
-    /// Colors and classes of all clouds.
-    colors: &'c [u32],
+    blocks: Vec<Block<'c>>,
 }
 
 /// What the maps show for a block of numbers.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-struct Block {
-    /// Wrapping offset from numbers to indices of colors.
-    color: usize,
+#[derive(Clone, Copy)]
+struct Block<'c> {
+    /// Words that contain its colors and classes, one per point from `color` on, in steps of `1 << shift`.
+    words: &'c [u32],
+    color: u32,
+    shift: u32,
     /// Wrapping offset from numbers to values in the point map.
     point: u32,
     instance: u32,
 }
 
 impl<'c> Numbering<'c> {
-    /// Numbers the instances; `colors` belong to all clouds.
+    /// Numbers the instances.
     ///
     /// # Errors
-    /// Fails for an unknown cloud or for too many points.
+    /// Fails for too many points.
     pub(super) fn new(
-        merged: &[LayerInstance],
-        clouds: &'c [PackedCloud<'c>],
-        colors: &'c [u32],
+        seen: &[SeenInstance],
+        chunks: &'c Chunks<'_>,
     ) -> Result<Self, RasterError> {
         let max = u64::from(u32::MAX) - 1;
-        let mut numbering = Self { instances: Vec::with_capacity(merged.len()), blocks: Vec::new(), colors };
-        let (mut points, mut geometry_points) = (0_u64, 0_u64);
-        for layered in merged {
+        let mut numbering = Self { instances: Vec::with_capacity(seen.len()), blocks: Vec::new() };
+        for SeenInstance { layered, geometry_points } in seen {
             let id = layered.instance.cloud;
-            let cloud =
-                clouds.get(id).ok_or(RasterError::UnknownCloud { cloud: id, clouds: clouds.len() })?;
-            let first = (numbering.blocks.len() * BLOCK) as u64;
+            let cloud = &chunks.clouds[id];
             let count = cloud.chunked.len();
-            points += count as u64;
+            let first = (numbering.blocks.len() * BLOCK) as u64;
             let end = first + count.next_multiple_of(BLOCK) as u64;
-            if points > max || end > max {
-                return Err(RasterError::TooManyPoints { found: points.max(end), max });
+            if end > max {
+                return Err(RasterError::TooManyPoints { found: end, max });
             }
+            let blocks: Vec<_> = (0..count.div_ceil(BLOCK)).map(|block| chunks.block(id, block)).collect();
             let first = first as u32;
-            let block = Block {
-                color: cloud.first_color.wrapping_sub(first as usize),
-                point: (geometry_points as u32).wrapping_add(1).wrapping_sub(first),
+            let of_numbers = Block {
+                words: BLACK,
+                color: 0,
+                shift: 0,
+                point: geometry_points.wrapping_add(1).wrapping_sub(first),
                 instance: layered.instance.number,
             };
-            numbering.blocks.extend(std::iter::repeat_n(block, count.div_ceil(BLOCK)));
-            let LayerInstance { instance, layers, numbered } = *layered;
-            numbering.instances.push(Numbered { instance, layers, cloud, first });
-            geometry_points += if numbered { count as u64 } else { 0 };
+            match (cloud.chunked.order(), cloud.chunked.cloud) {
+                // Numbers have the order of the cloud, not that of its blocks.
+                (Some(_), Cloud::Memory(points)) => numbering.blocks.extend(points.chunks(BLOCK).map(|points| {
+                    let words = bytemuck::cast_slice::<Point, u32>(points);
+                    Block { words, color: 3, shift: 2, ..of_numbers }
+                })),
+                _ => numbering.blocks.extend(blocks.iter().map(|block| {
+                    Block { words: block.map_or(BLACK, |block| block.colors), ..of_numbers }
+                })),
+            }
+            let (instance, layers) = (layered.instance, layered.layers);
+            numbering.instances.push(Numbered { instance, layers, cloud, first, blocks });
         }
         Ok(numbering)
     }
@@ -78,7 +93,7 @@ impl<'c> Numbering<'c> {
         self.blocks.is_empty()
     }
 
-    fn block(&self, number: u32) -> &Block {
+    fn block(&self, number: u32) -> &Block<'c> {
         &self.blocks[number as usize / BLOCK]
     }
 
@@ -96,7 +111,9 @@ impl<'c> Numbering<'c> {
 
     #[inline(always)]
     fn color(&self, number: u32) -> &u32 {
-        &self.colors[self.block(number).color.wrapping_add(number as usize)]
+        let block = self.block(number);
+        let at = (number % BLOCK as u32) << block.shift | block.color;
+        &block.words[at as usize]
     }
 
     /// Returns the instance of a point.

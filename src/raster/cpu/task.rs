@@ -97,7 +97,7 @@ impl Task<'_> {
         let view = &self.job.views[self.strip.view];
         let (schedule, z_far_m) = (self.job.schedule, self.job.schedule.z_far_m());
         let (mut draws, mut items) = (Vec::new(), Vec::new());
-        for numbered in self.numbering.instances.iter().filter(|numbered| numbered.layers != 0) {
+        for numbered in &self.numbering.instances {
             let job = SplatJob { view, schedule, instances: &[], crop: self.job.crop, maps: MapSet::NONE };
             let draw = draw_from_instance(&job, &numbered.instance, numbered.first);
             let shown = (window.width, window.rows);
@@ -115,7 +115,8 @@ impl Task<'_> {
                 let drawn = lanes.drawn();
                 for range in near {
                     let (block, lane) = (block(range), block(range) % LANES);
-                    if drawn >> lane & 1 == 1 {
+                    // No camera sees a block that is not loaded.
+                    if drawn >> lane & 1 == 1 && numbered.blocks[block].is_some() {
                         let (draw, footprint, layers) =
                             (draws.len() as u32, lanes.lane(lane), numbered.layers);
                         items.push(Item { footprint, draw, block: block as u32, layers, crops: range.crop });
@@ -159,7 +160,8 @@ impl Task<'_> {
                 let Some(item) = items.next() else { break };
                 let Item { footprint, draw, block, layers: mask, crops } = item;
                 let (draw, block) = (&draws[*draw as usize], *block as usize);
-                let block = Block { draw, block, layers: *mask, crops: *crops };
+                let Some(points) = draw.numbered.blocks[block] else { continue };
+                let block = Block { draw, block, points, layers: *mask, crops: *crops };
                 let radius = self.job.schedule.radius_at(footprint.nearest_m).unwrap_or(window.pad);
                 if self.culls && block.is_hidden(footprint, radius, window, layers) {
                     continue;

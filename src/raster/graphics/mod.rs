@@ -10,34 +10,40 @@ use std::time::Instant;
 use self::pages::{Pages, Piece, PieceDraw};
 use self::resolve::{MAX_PIXEL_BYTES, PlaneOffsets, ResolveStage, ResolveTarget};
 use self::splat::{SplatStage, SplatTarget, check_point_size};
+use super::chunk::ChunkedCloud;
+use super::draw::draw_from_instance;
 use super::frame::frame_by_views;
 use super::frames::CompletedFrames;
+use super::layers::Layers;
+use super::sight::{SeenInstance, seen_chunks, seen_instances};
 use super::tiles::{Tile, TileLimits, grown, tiles};
 use super::{
-    CloudSet, Draw, FrameJob, FrameMaps, MapKind, MapSet, RasterError, Rasterizer, RasterizerInfo, SplatJob,
-    SplatMaps, SplatSchedule, StageTimes, draws_from_job,
+    CloudSet, Draw, FrameJob, FrameMaps, MapKind, MapSet, Occlusion, RasterError, Rasterizer, RasterizerInfo,
+    SplatJob, SplatMaps, SplatSchedule, StageTimes,
 };
-use crate::cloud::Bounds;
 use crate::gpu::{Commands, Device, GpuError};
 
 /// Partitioning of a [`GraphicsRasterizer`]'s work; the default uses the device's limits. Results never
 /// depend on it.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct GraphicsRasterizerDesc {
-    /// Maximum number of points per buffer.
+    /// Maximum number of points per buffer; at least 4096.
     pub page_points: Option<u32>,
+    /// Memory budget for points on the device, bytes (16 per point). `None` for no limit, and for
+    /// [`DEFAULT_MEMORY_BYTES`] on a device that is the host's processor.
+    pub memory_bytes: Option<u64>,
     /// Maximum side length of a tile, pixels.
     pub tile_side: Option<u32>,
 }
 
-/// Rasterizer with clouds resident on a Vulkan device.
-pub struct GraphicsRasterizer {
+/// Rasterizer with clouds on a Vulkan device.
+pub struct GraphicsRasterizer<'a> {
+    clouds: Vec<ChunkedCloud<'a>>,
     device: Arc<Device>,
     commands: Commands,
     splat: SplatStage,
     resolve: ResolveStage,
     pages: Pages,
-    extents: Vec<(usize, Option<Bounds>)>,
     limits: TileLimits,
     targets: Option<Targets>,
     stages: StageTimes,
@@ -55,42 +61,43 @@ const MIN_PIECES: u64 = 256;
 /// Maximum area of a tile, pixels: fits the smallest storage buffers among drivers.
 const MAX_TILE_AREA: u64 = 1 << 23;
 
-impl GraphicsRasterizer {
-    /// Uploads all clouds; they may be dropped afterwards.
+impl<'a> GraphicsRasterizer<'a> {
+    /// Creates a rasterizer of clouds, whose points are loaded when they may be seen.
     ///
     /// # Errors
     /// Fails if memory is exhausted or the device lacks a required feature.
-    pub fn new(device: Arc<Device>, clouds: &CloudSet<'_>) -> Result<Self, GpuError> {
+    pub fn new(device: Arc<Device>, clouds: &CloudSet<'a>) -> Result<Self, GpuError> {
         Self::with_desc(device, clouds, GraphicsRasterizerDesc::default())
     }
 
-    /// Uploads all clouds, with other sizes of pages and tiles.
+    /// Creates a rasterizer with other limits.
     ///
     /// # Errors
     /// Fails if memory is exhausted or the device lacks a required feature.
     pub fn with_desc(
         device: Arc<Device>,
-        clouds: &CloudSet<'_>,
+        clouds: &CloudSet<'a>,
         desc: GraphicsRasterizerDesc,
     ) -> Result<Self, GpuError> {
         let start = Instant::now();
         let (splat, resolve) = (SplatStage::new(&device)?, ResolveStage::new(&device)?);
         let limits = tile_limits(&device, desc.tile_side);
-        let mut commands = Commands::new(&device)?;
+        let commands = Commands::new(&device)?;
         let mut stages = StageTimes::default();
         stages.add("set-up", start.elapsed());
         let start = Instant::now();
-        let pages = Pages::upload(&device, &mut commands, resolve.layout(), clouds, desc.page_points)?;
-        let extents = clouds.iter().map(|c| (c.len(), Bounds::of(*c))).collect();
-        stages.add("upload", start.elapsed());
+        // The order of points decides ties.
+        let clouds: Vec<ChunkedCloud> = clouds.iter().map(|cloud| ChunkedCloud::in_order(*cloud)).collect();
+        let pages = Pages::new(&device, &clouds, desc.page_points, desc.memory_bytes);
+        stages.add("sort", start.elapsed());
         device.check_validation()?;
         Ok(Self {
+            clouds,
             device,
             commands,
             splat,
             resolve,
             pages,
-            extents,
             limits,
             targets: None,
             stages,
@@ -149,7 +156,7 @@ struct Work<'a> {
     tile_size: [u32; 2],
 }
 
-impl Rasterizer for GraphicsRasterizer {
+impl Rasterizer for GraphicsRasterizer<'_> {
     fn info(&self) -> RasterizerInfo {
         RasterizerInfo::on("graphics", &self.device)
     }
@@ -166,11 +173,27 @@ impl Rasterizer for GraphicsRasterizer {
     }
 
     fn splat(&mut self, job: &SplatJob<'_>) -> Result<SplatMaps, RasterError> {
-        let draws = draws_from_job(job, &self.extents)?;
+        let start = Instant::now();
+        let frame = FrameJob {
+            views: std::slice::from_ref(job.view),
+            schedule: job.schedule,
+            color: job.instances,
+            geometry: job.instances,
+            occlusion: Occlusion::Scene,
+            crop: job.crop,
+            maps: job.maps | MapSet::of(&[MapKind::Depth]),
+            out_size: None,
+        };
+        let seen = seen_instances(&frame, &Layers::of(&frame), &self.clouds)?;
+        let draw = |seen: &SeenInstance| draw_from_instance(job, &seen.layered.instance, seen.geometry_points);
+        let draws: Vec<Draw> = seen.iter().map(draw).collect();
         check_point_size(&self.device, job.schedule)?;
         let (width, height) = (job.view.camera.width, job.view.camera.height);
         let mut maps = empty_maps(width, height, job.maps);
-        let (pieces, table) = self.pages.pieces(&draws);
+        let chunks = seen_chunks(&frame, &seen, &self.clouds);
+        self.pages.load(&self.device, &mut self.commands, self.resolve.layout(), &self.clouds, &chunks)?;
+        let (pieces, table) = self.pages.pieces(&draws, &self.clouds, &chunks);
+        self.stages.add("plan", start.elapsed());
         if pieces.is_empty() || !job.maps.intersects(MapSet::SPLATTED) {
             return Ok(maps);
         }

@@ -19,6 +19,9 @@ use crate::skeleton::{BuildOptions, BuildReport};
 pub(super) struct Plan {
     /// Version of this program.
     pub(super) version: String,
+    /// Version of the skeleton's format, on which the order of sums depends; 0 in builds of earlier versions.
+    #[serde(default)]
+    pub(super) format: u32,
     pub(super) options: BuildOptions,
     pub(super) logs: Vec<PlannedLog>,
 }
@@ -171,6 +174,9 @@ fn difference(ours: &Plan, theirs: &Plan) -> String {
     if ours.version != theirs.version {
         return format!("one of version {}", theirs.version);
     }
+    if ours.format != theirs.format {
+        return "one by an earlier version; build without --resume".to_owned();
+    }
     if ours.options != theirs.options {
         return "one with other options".to_owned();
     }
@@ -209,7 +215,7 @@ mod tests {
     #[test]
     fn unlisted_runs_are_deleted() {
         let folder = tempfile::tempdir().unwrap();
-        let plan = Plan { version: "1".to_owned(), options: BuildOptions::default(), logs: Vec::new() };
+        let plan = Plan { version: "1".to_owned(), format: 0, options: BuildOptions::default(), logs: Vec::new() };
         let (mut unfinished, mut done) = Unfinished::open(&folder.path().join("sk"), plan, false).unwrap();
         let path = unfinished.path().to_owned();
         std::fs::create_dir(path.join("new")).unwrap();

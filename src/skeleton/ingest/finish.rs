@@ -8,11 +8,12 @@ use super::error::BuildError;
 use super::runs::Runs;
 use super::stream::Stream;
 use super::sums::VoxelSum;
-use crate::cloud::{Bounds, Point};
+use crate::cloud::{Bounds, Point, sort_in_space};
 use crate::dataset::Frame;
 use crate::error::FileError;
+use crate::files::Checksum;
 use crate::skeleton::{
-    Asset, BuildReport, CHUNK_M, Checksum, Chunk, GenerateTemplates, SkeletonWriter, Source,
+    Asset, BuildReport, CHUNK_M, Chunk, GenerateTemplates, SkeletonWriter, Source,
 };
 
 /// Note for a log whose actors are empty.
@@ -100,7 +101,10 @@ impl Builder<'_> {
             Cell::Track { log, track } => self.streams[log].log.tracks[track].class as u8,
         };
         let voxels = self.cells.voxels(cell);
-        let points: Vec<Point> = sums.iter().map(|sum| voxels.mean(sum, class)).collect();
+        let mut points: Vec<Point> = sums.iter().map(|sum| voxels.mean(sum, class)).collect();
+        if voxels.side_m == 0.0 {
+            sort_in_space(&mut points);
+        }
         let Some(bounds) = Bounds::of(&points) else { return Ok(()) };
         let xxh3 = Checksum::of(&points);
         match cell {

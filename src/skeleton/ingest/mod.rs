@@ -31,7 +31,7 @@ use std::path::Path;
 use self::builder::Builder;
 use self::checkpoint::{Plan, PlannedLog, Unfinished};
 use self::stream::Stream;
-use super::{BuildOptions, GenerateTemplates, Skeleton, SkeletonWriter};
+use super::{BuildOptions, GenerateTemplates, Manifest, Skeleton, SkeletonWriter};
 use crate::dataset::LogReader;
 use crate::files::Inputs;
 use crate::files::input::is_taken;
@@ -127,6 +127,7 @@ fn plan(streams: &[Stream], options: &BuildOptions) -> Plan {
     };
     Plan {
         version: env!("CARGO_PKG_VERSION").to_owned(),
+        format: Manifest::VERSION,
         options: options.clone(),
         logs: streams.iter().map(log).collect(),
     }

@@ -20,9 +20,8 @@ use super::cells::Cell;
 use super::sums::{VoxelSum, merge_two};
 use crate::error::FileError;
 use crate::files::input::open_regular;
-use crate::files::json;
+use crate::files::{Checksum, json};
 use crate::files::{write_json, write_whole};
-use crate::skeleton::Checksum;
 
 /// Number of runs that are merged at once.
 const FAN_IN: usize = 8;

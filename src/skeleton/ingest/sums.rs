@@ -11,7 +11,7 @@ use crate::cloud::Point;
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Pod, Zeroable)]
 pub(super) struct VoxelSum {
-    /// Key of the voxel; sorts by x, then y, then z.
+    /// Key of the voxel; sorts in Morton order, so that points of neighboring voxels are neighbors in files.
     pub(super) key: u64,
     /// Sum of offsets from the voxel's corner, in steps of 1 / [`STEPS_PER_M`] meters.
     offset: [i64; 3],
@@ -69,15 +69,36 @@ impl Voxels {
 const REACH: i64 = 1 << 20;
 const AXIS: u64 = (1 << 21) - 1;
 
-/// Packs a voxel index with 21 bits per axis.
+/// Interleaves a voxel index with 21 bits per axis.
 fn key(index: DVec3) -> u64 {
-    let axis = |i: f64| (i as i64).saturating_add(REACH).clamp(0, AXIS as i64) as u64;
-    axis(index.x) << 42 | axis(index.y) << 21 | axis(index.z)
+    let axis = |i: f64| spread((i as i64).saturating_add(REACH).clamp(0, AXIS as i64) as u64);
+    axis(index.x) | axis(index.y) << 1 | axis(index.z) << 2
 }
 
 fn index(key: u64) -> DVec3 {
-    let axis = |shift: u32| ((key >> shift & AXIS) as i64 - REACH) as f64;
-    DVec3::new(axis(42), axis(21), axis(0))
+    let axis = |shift: u32| (gather(key >> shift) as i64 - REACH) as f64;
+    DVec3::new(axis(0), axis(1), axis(2))
+}
+
+/// Masks of [`spread`]: the bits after each step.
+const STEPS: [(u32, u64); 5] = [
+    (32, 0x001f_0000_0000_ffff),
+    (16, 0x001f_0000_ff00_00ff),
+    (8, 0x100f_00f0_0f00_f00f),
+    (4, 0x10c3_0c30_c30c_30c3),
+    (2, 0x1249_2492_4924_9249),
+];
+
+/// Spreads the low 21 bits to every third bit.
+fn spread(value: u64) -> u64 {
+    STEPS.iter().fold(value & AXIS, |bits, (shift, mask)| (bits | bits << shift) & mask)
+}
+
+/// Returns every third bit: the inverse of [`spread`].
+fn gather(bits: u64) -> u64 {
+    let masks = STEPS.iter().rev().skip(1).map(|(_, mask)| *mask).chain([AXIS]);
+    let steps = STEPS.iter().rev().map(|(shift, _)| *shift).zip(masks);
+    steps.fold(bits & STEPS[4].1, |bits, (shift, mask)| (bits | bits >> shift) & mask)
 }
 
 /// Merges two sorted lists of distinct voxels.
@@ -146,7 +167,21 @@ mod tests {
         }
     }
 
+    #[test]
+    fn keys_interleave_the_bits_of_voxels() {
+        let corner = |x: f64, y: f64, z: f64| key(DVec3::new(x, y, z)) - key(DVec3::ZERO);
+        assert_eq!([corner(1.0, 0.0, 0.0), corner(0.0, 1.0, 0.0), corner(5.0, 0.0, 1.0)], [1, 2, 0o105]);
+        let lowest = DVec3::splat(-(REACH as f64));
+        assert_eq!((key(lowest), key(-lowest)), (0, (1 << 63) - 1));
+    }
+
     proptest! {
+        #[test]
+        fn keys_are_voxels(x in -REACH..REACH, y in -REACH..REACH, z in -REACH..REACH) {
+            let voxel = DVec3::new(x as f64, y as f64, z as f64);
+            prop_assert_eq!(index(key(voxel)), voxel);
+        }
+
         /// Partitioning and merging in any order gives the same sums, with distinct voxels.
         #[test]
         fn merging_in_parts_changes_nothing(

@@ -9,7 +9,8 @@ use super::thin::{neighbourhood, poisson_thin};
 use super::{ClusterReport, TemplateCloud, TemplateKind, TemplateOptions, TemplateSummary};
 use crate::cloud::{Bounds, Point};
 use crate::dataset::Class;
-use crate::skeleton::{Checksum, Template};
+use crate::files::Checksum;
+use crate::skeleton::Template;
 
 /// Superimposes the members of a kind's clusters in their mean box. Returns no cloud if that gives too few
 /// points.

@@ -14,7 +14,8 @@ use crate::files::{Inputs, TEMPLATES as KIND, WholeFolder, write_json, write_who
 use crate::gpu::MappedFile;
 use crate::skeleton::entry::Entry;
 use crate::skeleton::store::read_manifest;
-use crate::skeleton::{Checksum, Source, Template};
+use crate::files::Checksum;
+use crate::skeleton::{Source, Template};
 
 const MANIFEST: &str = "templates.json";
 const POINTS: &str = "templates.points";

@@ -1,10 +1,10 @@
 //! Skipping hidden points changes no map.
 
-use point_skeleton::cloud::Point;
+use point_skeleton::cloud::{Cloud, Point};
 use point_skeleton::geometry::{Camera, View};
 use point_skeleton::raster::reference::ReferenceRasterizer;
 use point_skeleton::raster::{
-    CpuRasterizer, CpuRasterizerDesc, Instance, MapSet, Rasterizer, SplatJob, SplatMaps, SplatSchedule,
+    CloudSet, CpuRasterizer, CpuRasterizerDesc, Instance, MapSet, Rasterizer, SplatJob, SplatMaps, SplatSchedule,
 };
 
 use super::random::Random;
@@ -58,14 +58,14 @@ fn skipping_hidden_points_changes_nothing() {
     let far = walls(random, 60_000, &[9.0, 34.9, 35.1, 60.0]);
     // About one point per pixel and wall: their squares have gaps.
     let sparse = walls(random, 4_000, &[7.0, 7.5, 8.0, 8.5, 9.5, 14.5, 15.5, 33.0, 34.0, 36.0, 50.0]);
-    let clouds = vec![near.as_slice(), &far, &sparse];
+    let clouds: CloudSet<'_> = [&near, &far, &sparse].map(Cloud::from).into();
     let mut reference = ReferenceRasterizer::new(clouds.clone());
     // The camera jumps, and so does the second cloud.
     let places = [(0.0, 0.0), (3.0, -4.0), (-40.0, 8.0), (180.0, 0.0), (0.0, 0.0)];
     for text in ["15:2,35:1,100:0", "100:0", "5:9,35:3,100:1"] {
         let schedule: SplatSchedule = text.parse().unwrap();
         let mut all = [true, false].map(|occlusion_culling| {
-            CpuRasterizer::with_desc(clouds.clone(), CpuRasterizerDesc { occlusion_culling })
+            CpuRasterizer::with_desc(clouds.clone(), CpuRasterizerDesc { occlusion_culling, memory_bytes: None })
         });
         for (turn_deg, shift_m) in places {
             let view = view(turn_deg);

@@ -1,10 +1,10 @@
 //! Cases whose result can be computed by hand; all rasterizers must return it.
 
 use glam::{DAffine3, DVec2, DVec3};
-use point_skeleton::cloud::Point;
+use point_skeleton::cloud::{Cloud, Point};
 use point_skeleton::geometry::ImageSize;
 use point_skeleton::raster::reference::ReferenceRasterizer;
-use point_skeleton::raster::{Crop, MapKind, MapSet, Rasterizer, Segment, SplatJob, SplatMaps, draw_lines};
+use point_skeleton::raster::{CloudSet, Crop, MapKind, MapSet, Rasterizer, Segment, SplatJob, SplatMaps, draw_lines};
 
 use pskel_testing::devices::{Case, Division, rasterizers, with_compute_device, with_device};
 
@@ -80,9 +80,9 @@ fn the_crop_is_a_square_with_its_border() {
     let (schedule, instances, maps) = (&case.schedule, &[instance][..], MapSet::SPLATTED);
     let job = SplatJob { view: &view, schedule, instances, crop, maps };
     let expected = [(2, 0), (3, 0), (4, 0), (5, 0), (6, 0)];
-    assert_eq!(covered(&ReferenceRasterizer::new(vec![&points]).splat(&job).unwrap()), expected);
+    assert_eq!(covered(&ReferenceRasterizer::new(vec![(&points).into()]).splat(&job).unwrap()), expected);
     with_device(|device| {
-        for mut rasterizer in rasterizers(&device, &vec![&points], Division::default()) {
+        for mut rasterizer in rasterizers(&device, &vec![(&points).into()], Division::default()) {
             assert_eq!(covered(&rasterizer.splat(&job).unwrap()), expected);
         }
     });
@@ -103,7 +103,7 @@ fn many_points_in_one_pixel_have_one_winner() {
     assert_eq!([pixel(39, 35), pixel(70, 4), pixel(99, 66), pixel(99, 67)], [20_001, 20_001, 20_001, 0]);
     assert_eq!(covered(&maps).len(), 63 * 91);
     with_compute_device(|device| {
-        let clouds: Vec<&[Point]> = case.clouds.iter().map(Vec::as_slice).collect();
+        let clouds: CloudSet<'_> = case.clouds.iter().map(Cloud::from).collect();
         let spread = |mut rasterizer: Box<dyn Rasterizer + '_>| {
             let (view, schedule, instances) = (&case.view, &case.schedule, case.instances.as_slice());
             rasterizer

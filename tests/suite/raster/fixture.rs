@@ -8,7 +8,7 @@ use glam::{DAffine3, DMat4};
 use point_skeleton::cloud::Point;
 use point_skeleton::geometry::{Camera, View};
 use point_skeleton::raster::reference::ReferenceRasterizer;
-use point_skeleton::raster::{Instance, MapSet, Rasterizer, SplatJob, SplatMaps, SplatSchedule};
+use point_skeleton::raster::{CloudSet, Instance, MapSet, Rasterizer, SplatJob, SplatMaps, SplatSchedule};
 
 use pskel_testing::devices::{Division, assert_same, rasterizers, with_device};
 use pskel_testing::shared::fixtures;
@@ -125,7 +125,7 @@ fn draw(fixture: &Projection, rasterizer: &mut dyn Rasterizer) -> Vec<[SplatMaps
 fn fixture_maps_equal_the_references() {
     let Some(fixture) = load() else { return };
     let actors: Vec<Point> = fixture.points.iter().filter(|p| p.class() > 0).copied().collect();
-    let clouds: Vec<&[Point]> = vec![&fixture.points, &actors];
+    let clouds: CloudSet<'_> = vec![(&fixture.points).into(), (&actors).into()];
     let cpu = draw(&fixture, &mut ReferenceRasterizer::new(clouds.clone()));
     with_device(|device| {
         for mut rasterizer in rasterizers(&device, &clouds, Division::default()) {
@@ -149,6 +149,6 @@ fn fixture_check_sees_a_wrong_radius() {
     let (schedule, maps): (SplatSchedule, _) = ("15:1,35:1,100:0".parse().unwrap(), MapSet::SPLATTED);
     let instances = [Instance { cloud: 0, world_from_local: DAffine3::IDENTITY, number: 0 }];
     let job = SplatJob { view, schedule: &schedule, instances: &instances, crop: None, maps };
-    let maps = ReferenceRasterizer::new(vec![&fixture.points]).splat(&job).unwrap();
+    let maps = ReferenceRasterizer::new(vec![(&fixture.points).into()]).splat(&job).unwrap();
     assert!(std::panic::catch_unwind(|| check(&fixture, 0, &maps, &maps)).is_err());
 }

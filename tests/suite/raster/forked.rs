@@ -1,7 +1,7 @@
 //! Actors whose color comes from other points than their geometry: the maps differ in few rows alone.
 
 use glam::{DAffine3, DVec3};
-use point_skeleton::cloud::Point;
+use point_skeleton::cloud::{Cloud, Point};
 use point_skeleton::geometry::{Camera, ImageSize, View};
 use point_skeleton::raster::reference::ReferenceRasterizer;
 use point_skeleton::raster::{
@@ -67,7 +67,7 @@ fn place(random: &mut Random, color: &mut Vec<Instance>, geometry: &mut Vec<Inst
 fn clouds_may_differ_in_some_rows() {
     let random = &mut Random(9);
     let clouds = [background(random), actor(random), actor(random)];
-    let set: CloudSet<'_> = clouds.iter().map(Vec::as_slice).collect();
+    let set: CloudSet<'_> = clouds.iter().map(Cloud::from).collect();
     let mut reference = ReferenceRasterizer::new(set.clone());
     let mut rasterizer = CpuRasterizer::new(set);
     let schedules =

@@ -4,7 +4,7 @@
 use std::sync::Arc;
 
 use glam::DVec2;
-use point_skeleton::cloud::Point;
+use point_skeleton::cloud::{Cloud, Point};
 use point_skeleton::geometry::{ImageSize, View};
 use point_skeleton::gpu::Device;
 use point_skeleton::raster::reference::ReferenceRasterizer;
@@ -59,7 +59,7 @@ impl Scene {
     }
 
     fn clouds(&self) -> CloudSet<'_> {
-        self.clouds.iter().map(Vec::as_slice).collect()
+        self.clouds.iter().map(Cloud::from).collect()
     }
 
     fn job(&self, random: &mut Random) -> FrameJob<'_> {
@@ -144,7 +144,7 @@ fn compare_scene(
     let mut spread = 0;
     with_device(|device| {
         let clouds = scene.clouds.clone();
-        let set: CloudSet<'_> = clouds.iter().map(Vec::as_slice).collect();
+        let set: CloudSet<'_> = clouds.iter().map(Cloud::from).collect();
         let division = Division { compute, ..Division::default() };
         let mut all = rasterizers(&device, &set, division);
         let mut cpu = ReferenceRasterizer::new(set.clone());
@@ -270,7 +270,7 @@ fn a_warm_rasterizer_allocates_nothing() {
     scene.color.truncate(2);
     with_compute_device(|device| {
         let clouds = scene.clouds.clone();
-        let set: CloudSet<'_> = clouds.iter().map(Vec::as_slice).collect();
+        let set: CloudSet<'_> = clouds.iter().map(Cloud::from).collect();
         let mut rasterizer = compute(&device, &set);
         let frames = |rasterizer: &mut ComputeRasterizer<'_>, scene: &mut Scene, count: usize| {
             for _ in 0..count {
@@ -302,7 +302,7 @@ fn too_little_memory_is_an_error() {
     let points = vec![Point::default(); 40_000];
     with_compute_device(|device| {
         let desc = ComputeRasterizerDesc { memory_bytes: Some(1 << 16), ..ComputeRasterizerDesc::default() };
-        let error = ComputeRasterizer::with_desc(device, &vec![&points], desc).err().unwrap().to_string();
+        let error = ComputeRasterizer::with_desc(device, &vec![(&points).into()], desc).err().unwrap().to_string();
         assert!(error.contains("at least 1 MiB for points") && error.contains("0 MiB allowed"), "{error}");
     });
 }

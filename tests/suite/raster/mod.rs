@@ -11,3 +11,4 @@ mod forked;
 mod frames;
 mod quotient;
 mod random;
+mod streaming;

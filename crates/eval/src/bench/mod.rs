@@ -56,7 +56,7 @@ pub fn bench(
     let conditions = &options.conditions;
     match &workload.content {
         Content::Cloud(points, placed) => {
-            let mut rasterizer = raster::create(&options.rasterizer, vec![points])?;
+            let mut rasterizer = raster::create(&options.rasterizer, vec![points.into()])?;
             let jobs = workload.jobs(std::slice::from_ref(placed), conditions);
             run(points.len(), &mut Jobs { rasterizer: rasterizer.as_mut(), jobs })
         }

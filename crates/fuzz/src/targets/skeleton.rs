@@ -5,6 +5,7 @@ use std::cell::RefCell;
 use point_skeleton::cloud::{Bounds, Point};
 use point_skeleton::dataset::LogReader;
 use point_skeleton::error::FileError;
+use point_skeleton::files::Checksum;
 use point_skeleton::files::Inputs;
 use point_skeleton::geometry::View;
 use point_skeleton::raster::reference::ReferenceRasterizer;
@@ -13,7 +14,7 @@ use point_skeleton::scene::{
     EgoOffset, SceneClouds, SceneState, SelectionOptions, Substitutes, state_of_frame,
 };
 use point_skeleton::skeleton::{
-    AugmentOptions, Checksum, Skeleton, Template, TemplateKind, TemplateLibrary, TemplateOptions,
+    AugmentOptions, Skeleton, Template, TemplateKind, TemplateLibrary, TemplateOptions,
     TemplateReport, augment,
 };
 use serde_json::Value;
@@ -87,7 +88,7 @@ fn draw_folder(stored: &Stored, data: &[u8]) {
     let opened = Skeleton::open(stored.folder.root());
     let checked = opened.and_then(|skeleton| {
         // Reading the clouds compares checksums.
-        let lengths = SceneClouds::clouds(&skeleton)?.iter().map(|cloud| cloud.len()).collect::<Vec<usize>>();
+        let lengths = skeleton.clouds().iter().map(|cloud| cloud.len()).collect::<Vec<usize>>();
         Ok((skeleton, lengths))
     });
     match checked {
@@ -110,7 +111,7 @@ fn draw_folder(stored: &Stored, data: &[u8]) {
 }
 
 fn draw(skeleton: &Skeleton, substitutes: &Substitutes, state: &SceneState) {
-    let stage = SceneClouds::with(skeleton, LOG, substitutes).expect("checked points");
+    let stage = SceneClouds::with(skeleton, LOG, substitutes);
     let options = SelectionOptions { min_actor_points: 5, ..SelectionOptions::default() };
     let instances = stage.instances(state, &options);
     let views: Vec<View> = state.cameras.iter().map(|camera| camera.view.clone()).collect();

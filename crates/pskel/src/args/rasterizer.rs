@@ -15,11 +15,15 @@ pub(crate) struct RasterizerArgs {
     /// $PSKEL_DEVICE, else the fastest]
     #[arg(long, value_name = "DEVICE")]
     pub(crate) device: Option<String>,
-    /// Device memory for points, MiB, 20 bytes per point; with less, positions are streamed from the host
-    /// (compute only). At least 64 MiB and 4 bytes per point, or all points if they need less; keys and maps
-    /// need additional memory [default: as much as needed]
+    /// Device memory for points, MiB: 20 bytes per point with compute, 16 with graphics. Points that a camera may see
+    /// are loaded, and the least recently seen ones evicted. Keys and maps need additional memory [default: as much
+    /// as needed, 2048 on drivers that run on the processor]
     #[arg(long, value_name = "MIB")]
     pub(crate) gpu_memory: Option<u32>,
+    /// Memory for points, MiB, 17 bytes per point (cpu only). Points that a camera may see are loaded, and the least
+    /// recently seen ones evicted [default: 2048, or what a frame needs if that is more]
+    #[arg(long, value_name = "MIB")]
+    pub(crate) memory: Option<u32>,
     /// Also draw hidden points, to measure the effect of occlusion culling (cpu only)
     #[arg(long)]
     pub(crate) no_occlusion_culling: bool,
@@ -37,6 +41,7 @@ impl RasterizerArgs {
             kind: self.rasterizer,
             device: self.device.clone(),
             memory_bytes: self.gpu_memory.map(|mib| u64::from(mib) << 20),
+            host_memory_bytes: self.memory.map(|mib| u64::from(mib) << 20),
             occlusion_culling: !self.no_occlusion_culling,
         };
         match desc.unused().first() {

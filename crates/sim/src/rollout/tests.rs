@@ -76,7 +76,7 @@ fn metrics_cover_only_rendered_steps() {
     SkeletonWriter::write::<FileError>(&path, nothing).unwrap();
     let skeleton = Skeleton::open(&path).unwrap();
     let prompt = PromptParts::default();
-    let clouds = SceneClouds::new(&skeleton, &log.name).unwrap();
+    let clouds = SceneClouds::new(&skeleton, &log.name);
     let set = clouds.cloud_set();
     let desc = RasterizerDesc::from(RasterizerKind::Cpu);
     let drawn = raster::create(&desc, set).unwrap();

@@ -3,9 +3,10 @@
 
 use point_skeleton::cloud::Bounds;
 use point_skeleton::error::FileError;
+use point_skeleton::files::Checksum;
 use point_skeleton::files::Inputs;
 use point_skeleton::skeleton::{
-    Checksum, Template, TemplateLibrary, TemplateOptions, TemplateReport, default_templates,
+    Template, TemplateLibrary, TemplateOptions, TemplateReport, default_templates,
 };
 use serde_json::{Value, json};
 

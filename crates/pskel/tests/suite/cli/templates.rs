@@ -5,8 +5,9 @@ use std::path::Path;
 use point_skeleton::cloud::{Bounds, Point};
 use point_skeleton::dataset::Class;
 use point_skeleton::error::FileError;
+use point_skeleton::files::Checksum;
 use point_skeleton::skeleton::{
-    Asset, BuildOptions, BuildReport, Checksum, Chunk, Skeleton, SkeletonWriter, Source, TemplateKind,
+    Asset, BuildOptions, BuildReport, Chunk, Skeleton, SkeletonWriter, Source, TemplateKind,
     TemplateLibrary,
 };
 use serde_json::json;

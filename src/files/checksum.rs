@@ -2,14 +2,15 @@ use std::fmt;
 use std::path::Path;
 use std::str::FromStr;
 
-use bytemuck::NoUninit;
+use bytemuck::{NoUninit, Pod, Zeroable};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use twox_hash::XxHash3_64;
 
 use crate::error::FileError;
 
 /// 64-bit XXH3 of values in their file representation. It detects damage, not forgery.
-#[derive(Clone, Copy, PartialEq, Eq)]
+#[repr(transparent)]
+#[derive(Clone, Copy, PartialEq, Eq, Pod, Zeroable)]
 pub struct Checksum(u64);
 
 impl Checksum {
@@ -22,7 +23,7 @@ impl Checksum {
     ///
     /// # Errors
     /// Fails if the values have another checksum.
-    pub(super) fn check<T: NoUninit>(
+    pub(crate) fn check<T: NoUninit>(
         self,
         values: &[T],
         name: impl FnOnce() -> String,
