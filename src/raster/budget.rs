@@ -1,8 +1,8 @@
 //! Rasterizer that takes no more memory than the budget allows (see [`memory`](crate::memory)).
 
 use super::{
-    CloudSet, FrameJob, FrameMaps, MapKind, MapSet, RasterError, Rasterizer, RasterizerInfo, SplatJob, SplatMaps,
-    StageTimes,
+    CloudSet, FrameJob, FrameMaps, MapKind, MapSet, RasterError, Rasterizer, RasterizerInfo, SplatJob,
+    SplatMaps, StageTimes,
 };
 use crate::cloud::Cloud;
 use crate::geometry::{ImageSize, View};

@@ -82,6 +82,8 @@ pub(super) struct ChunkedCloud<'a> {
     order: Option<Vec<u32>>,
     /// Bounds of each run with [`CULL_BLOCK`] points; [`GROUP`] runs together.
     pub(super) groups: Vec<GroupExtents>,
+    /// Bounds of each chunk, likewise.
+    pub(super) chunk_groups: Vec<GroupExtents>,
     /// Bounds of all points; `None` if none is ever drawn.
     pub(super) all: Option<Bounds>,
 }
@@ -117,7 +119,10 @@ impl<'a> ChunkedCloud<'a> {
             }
         }
         let groups = blocks.chunks(GROUP).map(GroupExtents::of).collect();
-        (Self { cloud, order, groups, all }, blocks)
+        let chunk = |blocks: &[Option<Bounds>]| blocks.iter().flatten().copied().reduce(Bounds::and);
+        let chunks: Vec<Option<Bounds>> = blocks.chunks(CHUNK / CULL_BLOCK).map(chunk).collect();
+        let chunk_groups = chunks.chunks(GROUP).map(GroupExtents::of).collect();
+        (Self { cloud, order, groups, chunk_groups, all }, blocks)
     }
 
     /// Returns the number of points.
@@ -145,7 +150,11 @@ impl<'a> ChunkedCloud<'a> {
     ///
     /// # Errors
     /// Fails if they cannot be read or are damaged.
-    pub(super) fn read<'b>(&self, chunk: usize, buffer: &'b mut Vec<Point>) -> Result<&'b [Point], FileError> {
+    pub(super) fn read<'b>(
+        &self,
+        chunk: usize,
+        buffer: &'b mut Vec<Point>,
+    ) -> Result<&'b [Point], FileError> {
         let first = chunk * CHUNK;
         let places = first..first + self.count(chunk) as usize;
         buffer.clear();

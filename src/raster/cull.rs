@@ -92,6 +92,19 @@ impl Frustum {
         (0..GROUP).fold(group.drawn, |touching, i| touching & !outside(i))
     }
 
+    /// Returns the numbers and bounds of all blocks that touch.
+    fn touched(&self, groups: &[GroupExtents]) -> impl Iterator<Item = (usize, Extent)> {
+        let touching = move |(number, group): (usize, &GroupExtents)| {
+            let any = group.all.as_ref().is_some_and(|all| self.touches(all));
+            let blocks = if any { pulp::Arch::new().dispatch(Touching { group, frustum: self }) } else { 0 };
+            (number, blocks)
+        };
+        let masks = groups.iter().enumerate().map(touching);
+        masks.flat_map(move |(number, blocks)| {
+            Ones(blocks).map(move |block| (number * GROUP + block, groups[number].block(block)))
+        })
+    }
+
     /// Returns the minimum and maximum of `normal · p + offset` over a box, widened by the rounding of `f32`.
     #[inline(always)]
     #[allow(clippy::needless_range_loop)] // vectorizes over the boxes of a loop
@@ -133,21 +146,25 @@ pub(super) fn seen_blocks(
     z_far_m: f32,
 ) -> Vec<VisibleRange> {
     let frustum = Frustum::new(draw, width, rows, f64::from(pad) + 2.0, z_far_m);
-    let mut seen = Vec::new();
-    for (number, group) in cloud.groups.iter().enumerate() {
-        if !group.all.as_ref().is_some_and(|e| frustum.touches(e)) {
-            continue;
-        }
-        for block in Ones(pulp::Arch::new().dispatch(Touching { group, frustum: &frustum })) {
-            let extent = group.block(block);
-            let i = number * GROUP + block;
-            let (nearest_m, crop) = (frustum.nearest_m(&extent), frustum.cuts(&extent));
-            let (chunk, first) = ((i * CULL_BLOCK / CHUNK) as u32, (i * CULL_BLOCK % CHUNK) as u32);
-            let end = cloud.count(chunk as usize).min(first + CULL_BLOCK as u32);
-            seen.push(VisibleRange { chunk, points: [first, end], nearest_m, crop });
-        }
-    }
-    seen
+    let range = |(i, extent): (usize, Extent)| {
+        let (nearest_m, crop) = (frustum.nearest_m(&extent), frustum.cuts(&extent));
+        let (chunk, first) = ((i * CULL_BLOCK / CHUNK) as u32, (i * CULL_BLOCK % CHUNK) as u32);
+        let end = cloud.count(chunk as usize).min(first + CULL_BLOCK as u32);
+        VisibleRange { chunk, points: [first, end], nearest_m, crop }
+    };
+    frustum.touched(&cloud.groups).map(range).collect()
+}
+
+/// Returns the chunks of a cloud that may be visible in a view `width` pixels wide, in order.
+pub(super) fn seen_chunks(
+    cloud: &ChunkedCloud<'_>,
+    draw: &Draw,
+    (width, rows): (u32, Rows),
+    pad: u32,
+    z_far_m: f32,
+) -> Vec<u32> {
+    let frustum = Frustum::new(draw, width, rows, f64::from(pad) + 2.0, z_far_m);
+    frustum.touched(&cloud.chunk_groups).map(|(chunk, _)| chunk as u32).collect()
 }
 
 /// Joins neighboring blocks of a chunk.

@@ -1,8 +1,8 @@
 use super::budget::{Budgeted, reserve_order};
 use super::cpu::{CpuRasterizer, CpuRasterizerDesc};
 use super::{
-    CloudSet, ComputeRasterizer, ComputeRasterizerDesc, GraphicsRasterizer,
-    GraphicsRasterizerDesc, RasterError, Rasterizer,
+    CloudSet, ComputeRasterizer, ComputeRasterizerDesc, GraphicsRasterizer, GraphicsRasterizerDesc,
+    RasterError, Rasterizer,
 };
 use crate::gpu::{Device, DeviceDesc, GpuError};
 use crate::named;
@@ -126,6 +126,7 @@ pub fn create<'a>(
         let rasterizer = Box::new(ComputeRasterizer::with_desc(device, &clouds, desc)?);
         return Ok(Box::new(Budgeted::new(rasterizer, false)));
     }
-    let desc = GraphicsRasterizerDesc { memory_bytes: desc.memory_bytes, ..GraphicsRasterizerDesc::default() };
+    let desc =
+        GraphicsRasterizerDesc { memory_bytes: desc.memory_bytes, ..GraphicsRasterizerDesc::default() };
     Ok(Box::new(Budgeted::new(Box::new(GraphicsRasterizer::with_desc(device, &clouds, desc)?), true)))
 }

@@ -49,7 +49,8 @@ impl Rasterizer for ReferenceRasterizer<'_> {
 
     fn splat(&mut self, job: &SplatJob<'_>) -> Result<SplatMaps, RasterError> {
         let draws = draws_from_job(job, &self.extents)?;
-        let clouds: Vec<Cow<'_, [Point]>> = self.clouds.iter().map(Cloud::points).collect::<Result<_, _>>()?;
+        let clouds: Vec<Cow<'_, [Point]>> =
+            self.clouds.iter().map(Cloud::points).collect::<Result<_, _>>()?;
         let camera = &job.view.camera;
         let start = Instant::now();
         let mut buffer = Visibility::new(camera.width, camera.height);

@@ -4,7 +4,7 @@ use glam::{DAffine3, DMat3, DVec3};
 use rayon::prelude::*;
 
 use super::chunk::ChunkedCloud;
-use super::cull::seen_blocks;
+use super::cull;
 use super::draw::draw_from_instance;
 use super::layers::{LayerInstance, Layers};
 use super::schedule::Z_NEAR_M;
@@ -68,7 +68,7 @@ pub(super) fn seen_chunks<'c, 'a: 'c>(
             let view_job = SplatJob { view, schedule, instances: &[], crop, maps: MapSet::NONE };
             let draw = draw_from_instance(&view_job, instance, 0);
             let shown = (view.camera.width, [0, view.camera.height]);
-            chunks.extend(seen_blocks(cloud, &draw, shown, pad, z_far_m).iter().map(|range| range.chunk));
+            chunks.extend(cull::seen_chunks(cloud, &draw, shown, pad, z_far_m));
         }
         chunks.sort_unstable();
         chunks.dedup();
@@ -131,7 +131,10 @@ impl ViewPlanes {
 impl Sight {
     fn new(job: &FrameJob<'_>) -> Self {
         let (pad, z_far_m) = (f64::from(job.schedule.max_radius()) + 2.0, f64::from(job.schedule.z_far_m()));
-        Self { views: job.views.iter().map(|view| ViewPlanes::new(view, pad, z_far_m)).collect(), crop: job.crop }
+        Self {
+            views: job.views.iter().map(|view| ViewPlanes::new(view, pad, z_far_m)).collect(),
+            crop: job.crop,
+        }
     }
 
     /// Returns whether a point within the bounds of an instance may be drawn; conservative.
@@ -142,7 +145,8 @@ impl Sight {
         if let Some(Crop { center: crop, radius_m }) = self.crop {
             let sides = absolute(&world_from_local.matrix3);
             let reach = (sides * half).truncate();
-            let size = (sides * center.abs()).truncate() + (world_from_local.translation.truncate() - crop).abs();
+            let size =
+                (sides * center.abs()).truncate() + (world_from_local.translation.truncate() - crop).abs();
             let off = (world_from_local.transform_point3(center).truncate() - crop).abs();
             let least = off - reach - (size + reach) * ROUNDING;
             if least.max_element() > radius_m + SLACK {

@@ -164,13 +164,11 @@ fn fit(how: TemplateFit, template_size_m: DVec3, size_m: DVec3) -> DAffine3 {
 mod tests {
     use super::*;
     use crate::cloud::{Bounds, Point};
-    use crate::error::FileError;
     use crate::dataset::Class;
+    use crate::error::FileError;
     use crate::files::Checksum;
     use crate::geometry::{Cuboid, Pose};
-    use crate::skeleton::{
-        Asset, BuildOptions, BuildReport, Chunk, SkeletonWriter, Template, TemplateCloud,
-    };
+    use crate::skeleton::{Asset, BuildOptions, BuildReport, Chunk, SkeletonWriter, Template, TemplateCloud};
 
     fn cube(count: usize) -> (Vec<Point>, Bounds) {
         let corner = |i: usize| [0.0, 1.0, 2.0].map(|_: f32| if i.is_multiple_of(2) { -1.0 } else { 1.0 });

@@ -9,17 +9,17 @@ use std::sync::OnceLock;
 
 use rayon::prelude::*;
 
+use super::BuildOptions;
 use super::entry::Entry;
 use super::manifest::{Asset, BuildReport, Chunk, Manifest, PageChecksums, Source, Template};
-use super::BuildOptions;
 use crate::cloud::paged::{PagedFile, PagedWriter, StoredCloud};
 use crate::cloud::{Cloud, Point};
 use crate::dataset::{Recording, is_fingerprint};
 use crate::error::FileError;
 use crate::files::input::{is_taken, read_table};
 use crate::files::{
-    Checksum, Inputs, SKELETON as KIND, WholeFolder, WorkFolder, check_whole, inputs_of_whole, json, write_json,
-    write_whole_by,
+    Checksum, Inputs, SKELETON as KIND, WholeFolder, WorkFolder, check_whole, inputs_of_whole, json,
+    write_json, write_whole_by,
 };
 use crate::gpu::MappedFile;
 

@@ -58,12 +58,16 @@ fn damage_is_named() {
     let other = |path: &Path| {
         let file = path.join("skeleton.json");
         let text = std::fs::read_to_string(&file).unwrap();
-        std::fs::write(file, text.replace("\"version\": 3", "\"version\": 2")).unwrap();
+        std::fs::write(file, text.replace("\"version\": 4", "\"version\": 3")).unwrap();
     };
     refused(
         folder.path(),
         other,
-        &["version 3", "found format \"point-skeleton\" version 2", "skeleton.json"],
+        &[
+            "version 4",
+            "found format \"point-skeleton\" version 3 (written by an earlier version",
+            "skeleton.json",
+        ],
     );
     let broken = |path: &Path| std::fs::write(path.join("skeleton.json"), "{").unwrap();
     refused(folder.path(), broken, &["a skeleton manifest", "skeleton.json"]);

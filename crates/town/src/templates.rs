@@ -4,9 +4,7 @@ use glam::DVec3;
 use point_skeleton::cloud::{Bounds, Point};
 use point_skeleton::dataset::Class;
 use point_skeleton::files::Checksum;
-use point_skeleton::skeleton::{
-    Template, TemplateCloud, TemplateKind, TemplateOptions, poisson_thin,
-};
+use point_skeleton::skeleton::{Template, TemplateCloud, TemplateKind, TemplateOptions, poisson_thin};
 use rayon::prelude::*;
 
 use crate::model::{BodyKind, SurfacePoint, surface, typical};

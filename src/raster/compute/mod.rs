@@ -61,8 +61,8 @@ use super::layers::Layers;
 use super::residency::Residency;
 use super::sight::{SeenInstance, seen_chunks, seen_instances};
 use super::{
-    CloudSet, DEFAULT_MEMORY_BYTES, FRAMES_IN_FLIGHT, FrameJob, FrameMaps, MapSet, Occlusion, RasterError, Rasterizer,
-    RasterizerInfo, SplatJob, SplatMaps, StageTimes,
+    CloudSet, DEFAULT_MEMORY_BYTES, FRAMES_IN_FLIGHT, FrameJob, FrameMaps, MapSet, Occlusion, RasterError,
+    Rasterizer, RasterizerInfo, SplatJob, SplatMaps, StageTimes,
 };
 use crate::geometry::ImageSize;
 use crate::gpu::{Commands, Device, GpuError, PendingSubmit};
@@ -156,7 +156,8 @@ impl<'a> ComputeRasterizer<'a> {
         let streamed_rows = desc.streamed_rows.unwrap_or(STREAMED_ROWS).max(1);
         let bytes = desc.memory_bytes.or(device.is_cpu().then_some(DEFAULT_MEMORY_BYTES));
         let limits = StoreLimits { bytes, page_rows: desc.page_rows, streamed_rows };
-        let (store, [residency, colors]) = Store::new(&device, &mut commands, project.layout(), &clouds, limits)?;
+        let (store, [residency, colors]) =
+            Store::new(&device, &mut commands, project.layout(), &clouds, limits)?;
         stages.add("upload", start.elapsed());
         let copies = desc.copies || !device.shares_memory();
         let bare = Shared {
@@ -240,19 +241,23 @@ impl<'a> ComputeRasterizer<'a> {
         let mut needed = seen_chunks(job, seen, &self.clouds);
         // The numbers of a reordered chunk's points are those of any chunks.
         let reordered = |cloud: u32| self.clouds[cloud as usize].order().is_some();
-        let whole = |cloud: u32| (0..self.clouds[cloud as usize].chunks() as u32).map(move |chunk| (cloud, chunk));
-        let all: BTreeSet<u32> = needed.iter().map(|(cloud, _)| *cloud).filter(|cloud| reordered(*cloud)).collect();
+        let whole =
+            |cloud: u32| (0..self.clouds[cloud as usize].chunks() as u32).map(move |chunk| (cloud, chunk));
+        let all: BTreeSet<u32> =
+            needed.iter().map(|(cloud, _)| *cloud).filter(|cloud| reordered(*cloud)).collect();
         needed.retain(|(cloud, _)| !reordered(*cloud));
         needed.extend(all.into_iter().flat_map(whole));
         if needed.len() > self.colors.rows() {
-            let [needed, allowed] = [needed.len(), self.colors.rows()].map(|rows| 2 * rows as u64 * COLOR_ROW_BYTES);
+            let [needed, allowed] =
+                [needed.len(), self.colors.rows()].map(|rows| 2 * rows as u64 * COLOR_ROW_BYTES);
             let (needed_bytes, allowed_bytes) = (needed, allowed);
             return Err(RasterError::PointBudget { needed_bytes, allowed_bytes, option: "--gpu-memory" });
         }
         needed.retain(|(cloud, chunk)| self.colors.row(*cloud, *chunk).is_none());
         let rows = self.colors.oldest(needed.len());
         rows.iter().for_each(|row| self.colors.forget(*row));
-        let loads: Vec<(u32, u32, u32)> = needed.iter().zip(rows).map(|((cloud, chunk), row)| (*cloud, *chunk, row)).collect();
+        let loads: Vec<(u32, u32, u32)> =
+            needed.iter().zip(rows).map(|((cloud, chunk), row)| (*cloud, *chunk, row)).collect();
         self.shared.store.load_colors(&self.device, &mut self.commands, &self.clouds, &loads)?;
         loads.iter().for_each(|(cloud, chunk, row)| self.colors.replace(*cloud, *chunk, *row));
         Ok(())

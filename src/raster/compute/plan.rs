@@ -49,7 +49,8 @@ impl Numbering {
             numbering.blocks.extend((0..chunks).map(|chunk| {
                 // No point of a chunk without a row is drawn.
                 let number = first + (chunk * CHUNK) as u32;
-                let color = colors.row_of(id, chunk).unwrap_or(0).wrapping_mul(CHUNK as u32).wrapping_sub(number);
+                let color =
+                    colors.row_of(id, chunk).unwrap_or(0).wrapping_mul(CHUNK as u32).wrapping_sub(number);
                 [color, point, layered.instance.number, 0]
             }));
             numbering.instances.push(Numbered { layered: *layered, first });

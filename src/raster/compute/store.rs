@@ -6,12 +6,12 @@ use ash::vk::{self, BufferUsageFlags as Usage, ImageUsageFlags};
 use rayon::prelude::*;
 
 use super::project::PAGE_SET;
+use crate::cloud::Point;
+use crate::error::FileError;
 use crate::gpu::{
     Bind, Buffer, BufferDesc, Commands, DescriptorSet, Device, GpuError, Image, ImageDesc, Memory,
     PipelineLayout,
 };
-use crate::cloud::Point;
-use crate::error::FileError;
 use crate::raster::RasterError;
 use crate::raster::chunk::{CHUNK, ChunkedCloud};
 use crate::raster::residency::Residency;
@@ -199,9 +199,8 @@ pub(super) fn fill_rows<T: bytemuck::Pod + Send>(
     fill: impl Fn(usize, &mut [T], &mut Vec<Point>) -> Result<(), FileError> + Sync,
 ) -> Result<(), FileError> {
     let rows = bytes.par_chunks_mut(CHUNK * size_of::<T>()).enumerate();
-    let filled = rows.map_init(Vec::new, |buffer, (row, bytes)| {
-        fill(row, bytemuck::cast_slice_mut(bytes), buffer)
-    });
+    let filled =
+        rows.map_init(Vec::new, |buffer, (row, bytes)| fill(row, bytemuck::cast_slice_mut(bytes), buffer));
     filled.find_first(Result::is_err).unwrap_or(Ok(()))
 }
 
@@ -224,6 +223,9 @@ mod tests {
         assert_eq!(rows(120, Some(100 * ROW_BYTES)).unwrap(), [70, 120]);
         assert_eq!(rows(1000, Some(8 * ROW_BYTES)).unwrap(), [4, 16]);
         let message = rows(1000, Some(7 * ROW_BYTES)).unwrap_err().to_string();
-        assert!(message.contains("at least 1 MiB for points") && message.contains("0 MiB allowed"), "{message}");
+        assert!(
+            message.contains("at least 1 MiB for points") && message.contains("0 MiB allowed"),
+            "{message}"
+        );
     }
 }

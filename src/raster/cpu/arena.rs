@@ -3,7 +3,7 @@
 use rayon::prelude::*;
 
 use super::memory::HugeSlice;
-use super::packed::{BoundsLanes, PackedCloud, Positions};
+use super::packed::{BlockColors, BoundsLanes, PackedCloud, Positions, fill_colors};
 use crate::cloud::Point;
 use crate::error::FileError;
 use crate::raster::chunk::{CHUNK, CULL_BLOCK};
@@ -14,9 +14,6 @@ const BLOCKS: usize = CHUNK / CULL_BLOCK;
 pub(super) const SEGMENT_ROWS: usize = 256;
 /// Memory of a row, bytes.
 pub(super) const ROW_BYTES: usize = BLOCKS * size_of::<(Positions, BoundsLanes, BlockColors)>();
-
-/// Colors and classes of a block's points.
-pub(super) type BlockColors = [u32; CULL_BLOCK];
 
 /// Rows of one chunk each. Memory is taken when rows are filled, in segments, and never moved.
 #[derive(Default)]
@@ -109,10 +106,12 @@ impl RowMut<'_> {
     fn fill(self, points: &[Point]) {
         let Self { positions, bounds, colors } = self;
         let blocks = points.chunks(CULL_BLOCK).chain(std::iter::repeat(&[][..]));
-        for (((positions, bounds), colors), points) in positions.iter_mut().zip(bounds).zip(colors).zip(blocks) {
+        for (((positions, bounds), colors), points) in
+            positions.iter_mut().zip(bounds).zip(colors).zip(blocks)
+        {
             *positions = Positions::of(points);
             *bounds = positions.bounds();
-            colors.iter_mut().zip(points).for_each(|(color, point)| *color = point.rgb_class);
+            fill_colors(colors, points);
         }
     }
 }

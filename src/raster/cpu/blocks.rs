@@ -4,9 +4,9 @@
 
 use pulp::{Simd, WithSimd};
 
+use super::arena::PackedBlock;
 use super::footprint::{Footprint, FootprintLanes, Footprints};
 use super::memory::prefetch;
-use super::arena::PackedBlock;
 use super::numbering::Numbered;
 use super::packed::{BoundsLanes, GROUP, GROUPS};
 use super::project::{Cells, Projection};

@@ -60,7 +60,8 @@ impl<'a> Chunks<'a> {
         self.make_room(count, needed.len())?;
         let rows = self.residency.oldest(needed.len());
         rows.iter().for_each(|row| self.residency.forget(*row));
-        let loads: Vec<Load> = needed.iter().zip(rows).map(|((cloud, chunk), row)| (*cloud, *chunk, row)).collect();
+        let loads: Vec<Load> =
+            needed.iter().zip(rows).map(|((cloud, chunk), row)| (*cloud, *chunk, row)).collect();
         self.arena.load(&self.clouds, &loads)?;
         loads.iter().for_each(|(cloud, chunk, row)| self.residency.replace(*cloud, *chunk, *row));
         Ok(())
@@ -90,11 +91,13 @@ impl<'a> Chunks<'a> {
         if self.residency.is_complete() {
             return;
         }
-        let eyes: Vec<DVec3> = job.views.iter().map(|view| view.camera_from_world.inverse().translation).collect();
+        let eyes: Vec<DVec3> =
+            job.views.iter().map(|view| view.camera_from_world.inverse().translation).collect();
         let reach_m = f64::from(job.schedule.z_far_m()) + AHEAD_M;
         let mut left = CLOUDS_AHEAD;
         for Instance { cloud, world_from_local, .. } in job.geometry {
-            let (Some(PackedCloud { chunked, .. }), Some(is_near)) = (self.clouds.get(*cloud), self.near.get_mut(*cloud))
+            let (Some(PackedCloud { chunked, .. }), Some(is_near)) =
+                (self.clouds.get(*cloud), self.near.get_mut(*cloud))
             else {
                 continue;
             };

@@ -1,10 +1,9 @@
 //! Joint numbering for the points of a frame's instances.
 
-use super::arena::{BlockColors, PackedBlock};
+use super::arena::PackedBlock;
 use super::chunks::Chunks;
 use super::memory::prefetch;
-use super::packed::PackedCloud;
-use crate::cloud::{Cloud, Point};
+use super::packed::{BlockColors, PackedCloud};
 use crate::raster::chunk::CULL_BLOCK;
 use crate::raster::sight::SeenInstance;
 use crate::raster::{Instance, RasterError};
@@ -34,10 +33,7 @@ pub(super) struct Numbering<'c> {
 /// What the maps show for a block of numbers.
 #[derive(Clone, Copy)]
 struct Block<'c> {
-    /// Words that contain its colors and classes, one per point from `color` on, in steps of `1 << shift`.
-    words: &'c [u32],
-    color: u32,
-    shift: u32,
+    colors: &'c BlockColors,
     /// Wrapping offset from numbers to values in the point map.
     point: u32,
     instance: u32,
@@ -48,10 +44,7 @@ impl<'c> Numbering<'c> {
     ///
     /// # Errors
     /// Fails for too many points.
-    pub(super) fn new(
-        seen: &[SeenInstance],
-        chunks: &'c Chunks<'_>,
-    ) -> Result<Self, RasterError> {
+    pub(super) fn new(seen: &[SeenInstance], chunks: &'c Chunks<'_>) -> Result<Self, RasterError> {
         let max = u64::from(u32::MAX) - 1;
         let mut numbering = Self { instances: Vec::with_capacity(seen.len()), blocks: Vec::new() };
         for SeenInstance { layered, geometry_points } in seen {
@@ -65,22 +58,14 @@ impl<'c> Numbering<'c> {
             }
             let blocks: Vec<_> = (0..count.div_ceil(BLOCK)).map(|block| chunks.block(id, block)).collect();
             let first = first as u32;
-            let of_numbers = Block {
-                words: BLACK,
-                color: 0,
-                shift: 0,
-                point: geometry_points.wrapping_add(1).wrapping_sub(first),
-                instance: layered.instance.number,
-            };
-            match (cloud.chunked.order(), cloud.chunked.cloud) {
-                // Numbers have the order of the cloud, not that of its blocks.
-                (Some(_), Cloud::Memory(points)) => numbering.blocks.extend(points.chunks(BLOCK).map(|points| {
-                    let words = bytemuck::cast_slice::<Point, u32>(points);
-                    Block { words, color: 3, shift: 2, ..of_numbers }
-                })),
-                _ => numbering.blocks.extend(blocks.iter().map(|block| {
-                    Block { words: block.map_or(BLACK, |block| block.colors), ..of_numbers }
-                })),
+            let point = geometry_points.wrapping_add(1).wrapping_sub(first);
+            let block = |colors| Block { colors, point, instance: layered.instance.number };
+            if cloud.colors.is_empty() {
+                numbering
+                    .blocks
+                    .extend(blocks.iter().map(|loaded| block(loaded.map_or(BLACK, |it| it.colors))));
+            } else {
+                numbering.blocks.extend(cloud.colors.iter().map(block));
             }
             let (instance, layers) = (layered.instance, layered.layers);
             numbering.instances.push(Numbered { instance, layers, cloud, first, blocks });
@@ -111,9 +96,7 @@ impl<'c> Numbering<'c> {
 
     #[inline(always)]
     fn color(&self, number: u32) -> &u32 {
-        let block = self.block(number);
-        let at = (number % BLOCK as u32) << block.shift | block.color;
-        &block.words[at as usize]
+        &self.block(number).colors[number as usize % BLOCK]
     }
 
     /// Returns the instance of a point.

@@ -1,7 +1,9 @@
 //! Clouds in the layout of the projection loop.
 
 use bytemuck::{Pod, Zeroable};
+use rayon::prelude::*;
 
+use super::memory::HugeSlice;
 use crate::cloud::{Bounds, Cloud, Point};
 use crate::raster::chunk::{CULL_BLOCK, ChunkedCloud, RUN};
 
@@ -24,9 +26,14 @@ pub(super) struct Positions(pub(super) [[[f32; GROUP]; 3]; GROUPS]);
 #[derive(Clone, Copy, Pod, Zeroable)]
 pub(super) struct BoundsLanes(pub(super) [[f32; LANES]; 6]);
 
+/// Colors and classes of a block's points.
+pub(super) type BlockColors = [u32; CULL_BLOCK];
+
 /// A cloud, without its points.
 pub(super) struct PackedCloud<'a> {
     pub(super) chunked: ChunkedCloud<'a>,
+    /// Colors and classes in the cloud's own order, if that is not the order of its chunks.
+    pub(super) colors: HugeSlice<BlockColors>,
     /// Bounds of the blocks, [`LANES`] at a time.
     pub(super) blocks: Vec<BoundsLanes>,
     /// Maximum absolute coordinates of the finite positions, meters.
@@ -39,8 +46,19 @@ impl<'a> PackedCloud<'a> {
         let blocks = blocks.chunks(LANES).map(BoundsLanes::of_blocks).collect();
         let largest = |bounds: &Bounds, axis: usize| bounds.min[axis].abs().max(bounds.max[axis].abs());
         let reach_m = chunked.all.map_or([0.0; 3], |all| [0, 1, 2].map(|axis| largest(&all, axis)));
-        Self { chunked, blocks, reach_m }
+        let mut colors = HugeSlice::zeroed(0);
+        if let (Some(_), Cloud::Memory(points)) = (chunked.order(), chunked.cloud) {
+            colors = HugeSlice::zeroed(points.len().div_ceil(CULL_BLOCK));
+            let blocks = colors.par_iter_mut().zip(points.par_chunks(CULL_BLOCK));
+            blocks.for_each(|(to, points)| fill_colors(to, points));
+        }
+        Self { chunked, colors, blocks, reach_m }
     }
+}
+
+/// Copies the colors and classes of a block's points.
+pub(super) fn fill_colors(colors: &mut BlockColors, points: &[Point]) {
+    colors.iter_mut().zip(points).for_each(|(color, point)| *color = point.rgb_class);
 }
 
 impl<'a> AsRef<ChunkedCloud<'a>> for PackedCloud<'a> {
@@ -119,7 +137,8 @@ mod tests {
                     let [least, most] = [0, 3].map(|side| cloud.blocks[0].0[side][4 * chunk + block]);
                     assert!(x.is_nan() || (least <= low && low <= x && x <= high && high <= most));
                 }
-                let padding = &positions.0.as_flattened().as_flattened()[3 * points.len().next_multiple_of(GROUP)..];
+                let padding =
+                    &positions.0.as_flattened().as_flattened()[3 * points.len().next_multiple_of(GROUP)..];
                 assert!(padding.iter().all(|value| value.is_nan()));
             }
         }

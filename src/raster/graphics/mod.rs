@@ -185,7 +185,8 @@ impl Rasterizer for GraphicsRasterizer<'_> {
             out_size: None,
         };
         let seen = seen_instances(&frame, &Layers::of(&frame), &self.clouds)?;
-        let draw = |seen: &SeenInstance| draw_from_instance(job, &seen.layered.instance, seen.geometry_points);
+        let draw =
+            |seen: &SeenInstance| draw_from_instance(job, &seen.layered.instance, seen.geometry_points);
         let draws: Vec<Draw> = seen.iter().map(draw).collect();
         check_point_size(&self.device, job.schedule)?;
         let (width, height) = (job.view.camera.width, job.view.camera.height);

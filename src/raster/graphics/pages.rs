@@ -133,7 +133,8 @@ impl Pages {
         // Rows are only evicted once the budget is used up.
         let wanted = (self.residency.loaded() + missing.len()).min(self.rows);
         while self.residency.rows() < wanted {
-            let rows = (self.page_rows as usize).min(self.residency.chunks().min(self.rows) - self.residency.rows());
+            let rows =
+                (self.page_rows as usize).min(self.residency.chunks().min(self.rows) - self.residency.rows());
             self.pages.push(page(device, layout, rows as u64)?);
             self.residency.grow(self.residency.rows() + rows);
         }
@@ -163,7 +164,8 @@ impl Pages {
                 none.insert(Buffer::new(device, &BufferDesc { name: "upload", size, usage, memory })?)
             }
         };
-        let rows = staging.bytes_mut()?[..loads.len() * ROW_BYTES as usize].par_chunks_mut(ROW_BYTES as usize);
+        let rows =
+            staging.bytes_mut()?[..loads.len() * ROW_BYTES as usize].par_chunks_mut(ROW_BYTES as usize);
         let read = rows.zip(loads).map_init(Vec::new, |buffer, (bytes, ((cloud, chunk), _))| {
             let points = clouds[*cloud as usize].read(*chunk as usize, buffer)?;
             let points: &[u8] = bytemuck::cast_slice(points);

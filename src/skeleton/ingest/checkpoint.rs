@@ -215,7 +215,8 @@ mod tests {
     #[test]
     fn unlisted_runs_are_deleted() {
         let folder = tempfile::tempdir().unwrap();
-        let plan = Plan { version: "1".to_owned(), format: 0, options: BuildOptions::default(), logs: Vec::new() };
+        let plan =
+            Plan { version: "1".to_owned(), format: 0, options: BuildOptions::default(), logs: Vec::new() };
         let (mut unfinished, mut done) = Unfinished::open(&folder.path().join("sk"), plan, false).unwrap();
         let path = unfinished.path().to_owned();
         std::fs::create_dir(path.join("new")).unwrap();

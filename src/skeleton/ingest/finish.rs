@@ -12,9 +12,7 @@ use crate::cloud::{Bounds, Point, sort_in_space};
 use crate::dataset::Frame;
 use crate::error::FileError;
 use crate::files::Checksum;
-use crate::skeleton::{
-    Asset, BuildReport, CHUNK_M, Chunk, GenerateTemplates, SkeletonWriter, Source,
-};
+use crate::skeleton::{Asset, BuildReport, CHUNK_M, Chunk, GenerateTemplates, SkeletonWriter, Source};
 
 /// Note for a log whose actors are empty.
 const NO_ACTOR: &str =

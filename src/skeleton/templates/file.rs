@@ -5,8 +5,8 @@ use glam::Vec3;
 use super::{TemplateCloud, TemplateKind};
 use crate::cloud::{self, Bounds, Point};
 use crate::error::FileError;
-use crate::geometry::{MAX_SIDE_M, MIN_SIDE_M, is_size};
 use crate::files::Checksum;
+use crate::geometry::{MAX_SIDE_M, MIN_SIDE_M, is_size};
 use crate::skeleton::Template;
 
 /// Reads a template of a kind from an NPY or PLY file and centers its bounds on the origin, as boxes are.

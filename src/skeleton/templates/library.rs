@@ -9,12 +9,12 @@ use serde::{Deserialize, Serialize};
 use super::{TemplateCloud, TemplateOptions, TemplateReport};
 use crate::cloud::Point;
 use crate::error::FileError;
+use crate::files::Checksum;
 use crate::files::input::is_taken;
 use crate::files::{Inputs, TEMPLATES as KIND, WholeFolder, write_json, write_whole};
 use crate::gpu::MappedFile;
 use crate::skeleton::entry::Entry;
 use crate::skeleton::store::read_manifest;
-use crate::files::Checksum;
 use crate::skeleton::{Source, Template};
 
 const MANIFEST: &str = "templates.json";

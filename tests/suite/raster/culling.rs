@@ -4,7 +4,8 @@ use point_skeleton::cloud::{Cloud, Point};
 use point_skeleton::geometry::{Camera, View};
 use point_skeleton::raster::reference::ReferenceRasterizer;
 use point_skeleton::raster::{
-    CloudSet, CpuRasterizer, CpuRasterizerDesc, Instance, MapSet, Rasterizer, SplatJob, SplatMaps, SplatSchedule,
+    CloudSet, CpuRasterizer, CpuRasterizerDesc, Instance, MapSet, Rasterizer, SplatJob, SplatMaps,
+    SplatSchedule,
 };
 
 use super::random::Random;
@@ -65,7 +66,10 @@ fn skipping_hidden_points_changes_nothing() {
     for text in ["15:2,35:1,100:0", "100:0", "5:9,35:3,100:1"] {
         let schedule: SplatSchedule = text.parse().unwrap();
         let mut all = [true, false].map(|occlusion_culling| {
-            CpuRasterizer::with_desc(clouds.clone(), CpuRasterizerDesc { occlusion_culling, memory_bytes: None })
+            CpuRasterizer::with_desc(
+                clouds.clone(),
+                CpuRasterizerDesc { occlusion_culling, memory_bytes: None },
+            )
         });
         for (turn_deg, shift_m) in places {
             let view = view(turn_deg);

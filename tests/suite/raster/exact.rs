@@ -4,7 +4,9 @@ use glam::{DAffine3, DVec2, DVec3};
 use point_skeleton::cloud::{Cloud, Point};
 use point_skeleton::geometry::ImageSize;
 use point_skeleton::raster::reference::ReferenceRasterizer;
-use point_skeleton::raster::{CloudSet, Crop, MapKind, MapSet, Rasterizer, Segment, SplatJob, SplatMaps, draw_lines};
+use point_skeleton::raster::{
+    CloudSet, Crop, MapKind, MapSet, Rasterizer, Segment, SplatJob, SplatMaps, draw_lines,
+};
 
 use pskel_testing::devices::{Case, Division, rasterizers, with_compute_device, with_device};
 

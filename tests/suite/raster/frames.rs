@@ -302,7 +302,8 @@ fn too_little_memory_is_an_error() {
     let points = vec![Point::default(); 40_000];
     with_compute_device(|device| {
         let desc = ComputeRasterizerDesc { memory_bytes: Some(1 << 16), ..ComputeRasterizerDesc::default() };
-        let error = ComputeRasterizer::with_desc(device, &vec![(&points).into()], desc).err().unwrap().to_string();
+        let error =
+            ComputeRasterizer::with_desc(device, &vec![(&points).into()], desc).err().unwrap().to_string();
         assert!(error.contains("at least 1 MiB for points") && error.contains("0 MiB allowed"), "{error}");
     });
 }
@@ -316,6 +317,8 @@ fn positions_beyond_the_allowed_memory_are_streamed() {
         let streams = |memory_bytes| {
             let desc = ComputeRasterizerDesc { memory_bytes, streamed_rows: Some(2), ..Default::default() };
             let mut rasterizer = ComputeRasterizer::with_desc(device.clone(), &scene.clouds(), desc).unwrap();
+            frame(&mut rasterizer, &job);
+            rasterizer.take_stages();
             let maps = frame(&mut rasterizer, &job);
             (rasterizer.take_stages().0.contains_key("stream"), maps)
         };

@@ -51,12 +51,15 @@ fn street(folder: &Path, random: &mut Random) -> Street {
     let file = PagedFile::open(&folder.join("points"), &folder.join("pages"), clouds, xxh3).unwrap();
     let instance = |(cloud, x): (usize, usize)| Instance {
         cloud,
-        world_from_local: DAffine3::from_translation(CITY + DVec3::new(x as f64 * SIDE_M, -SIDE_M / 2.0, 0.0)),
+        world_from_local: DAffine3::from_translation(
+            CITY + DVec3::new(x as f64 * SIDE_M, -SIDE_M / 2.0, 0.0),
+        ),
         number: 0,
     };
     // The last cloud is an actor that stands at two places.
     let mut instances: Vec<Instance> = (0..7).map(|cloud| instance((cloud, cloud))).collect();
-    instances.extend([(1, instance((7, 2))), (2, instance((7, 5)))].map(|(number, i)| Instance { number, ..i }));
+    instances
+        .extend([(1, instance((7, 2))), (2, instance((7, 5)))].map(|(number, i)| Instance { number, ..i }));
     Street { file, points, instances }
 }
 
@@ -67,7 +70,8 @@ fn views(x_m: f64, yaw: f64) -> [View; 2] {
         let (sin, cos) = yaw.sin_cos();
         let rotation = DMat3::from_cols(DVec3::new(sin, -cos, 0.0), DVec3::NEG_Z, DVec3::new(cos, sin, 0.0));
         let eye = CITY + DVec3::new(x_m, 0.0, 1.5);
-        let camera_from_world = DAffine3::from_mat3_translation(rotation.transpose(), -(rotation.transpose() * eye));
+        let camera_from_world =
+            DAffine3::from_mat3_translation(rotation.transpose(), -(rotation.transpose() * eye));
         View { camera: Camera::new("camera", 100, 60, rows).unwrap(), camera_from_world }
     })
 }
@@ -99,8 +103,10 @@ fn rasterizers<'a>(
         ..GraphicsRasterizerDesc::default()
     };
     let graphics = GraphicsRasterizer::with_desc(device.clone(), clouds, graphics);
-    let mut all: Vec<Result<Box<dyn Rasterizer + 'a>, RasterError>> =
-        vec![Ok(Box::new(cpu)), graphics.map(|it| Box::new(it) as Box<dyn Rasterizer>).map_err(RasterError::from)];
+    let mut all: Vec<Result<Box<dyn Rasterizer + 'a>, RasterError>> = vec![
+        Ok(Box::new(cpu)),
+        graphics.map(|it| Box::new(it) as Box<dyn Rasterizer>).map_err(RasterError::from),
+    ];
     if device.atomics_64() {
         let desc = ComputeRasterizerDesc {
             // Colors take half of the budget.
@@ -198,7 +204,8 @@ fn damaged_and_truncated_files_are_named_once_their_points_are_seen() {
             let mut rasterizer = rasterizer.unwrap();
             let [far, near] = [200.0, 45.0].map(|x_m| views(x_m, 0.0));
             let good = frame(rasterizer.as_mut(), &job(&street, &far, &schedule)).unwrap();
-            let message = frame(rasterizer.as_mut(), &job(&street, &near, &schedule)).unwrap_err().to_string();
+            let message =
+                frame(rasterizer.as_mut(), &job(&street, &near, &schedule)).unwrap_err().to_string();
             assert!(message.contains("expected page 1 of cloud 1 with checksum"), "{message}");
             assert!(message.ends_with(&path.display().to_string()), "{message}");
             // The rest of the street is as good as before.

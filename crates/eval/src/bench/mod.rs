@@ -1,12 +1,13 @@
 //! Throughput of rendering: time per frame and per stage, points per second, peak memory.
 //!
 //! # How it works
-//! A [`Workload`] holds clouds and the frames to render: a synthetic street, a cloud with cameras, or frames
-//! of a log with its skeleton. [`bench`](fn@bench) renders them in turn, only with the rasterizer or as whole
+//! A [`Workload`] holds clouds and the frames to render: a synthetic street, a location of many on disk, a cloud
+//! with cameras, or frames of a log with its skeleton. [`bench`](fn@bench) renders them in turn, only with the rasterizer or as whole
 //! steps (`frames`), and times them (`measure`). [`BenchResult`] has the statistics and writes a trace of all
 //! frames (`trace`).
 
 mod frames;
+mod location;
 mod measure;
 mod memory;
 mod options;
@@ -59,6 +60,11 @@ pub fn bench(
             let mut rasterizer = raster::create(&options.rasterizer, vec![points.into()])?;
             let jobs = workload.jobs(std::slice::from_ref(placed), conditions);
             run(points.len(), &mut Jobs { rasterizer: rasterizer.as_mut(), jobs })
+        }
+        Content::Location(skeleton, placed) => {
+            let mut rasterizer = raster::create(&options.rasterizer, skeleton.clouds())?;
+            let jobs = workload.jobs(std::slice::from_ref(placed), conditions);
+            run(skeleton.manifest.points(), &mut Jobs { rasterizer: rasterizer.as_mut(), jobs })
         }
         Content::Log(content, log) => {
             let (skeleton, substitutes) = &**content;

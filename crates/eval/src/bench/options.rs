@@ -43,6 +43,14 @@ pub enum BenchError {
     /// The rasterizer cannot be created.
     #[error("{0}")]
     Raster(#[from] RasterError),
+    /// The drive is shorter.
+    #[error("expected frames within 0..{frames}, the drive through this location, found ..{found}")]
+    NoFrames {
+        /// End of the frames.
+        found: usize,
+        /// Number of frames of the drive.
+        frames: usize,
+    },
     /// No frame has cameras.
     #[error("expected frames with cameras in log {log}, found none among {frames} frames")]
     NoCameras {

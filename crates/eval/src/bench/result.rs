@@ -96,6 +96,8 @@ pub struct Spread {
     pub min: f64,
     /// Median.
     pub median: f64,
+    /// The number that 99 % do not exceed.
+    pub p99: f64,
     /// Maximum.
     pub max: f64,
 }
@@ -106,12 +108,13 @@ impl Spread {
         let mut values: Vec<f64> = values.into_iter().collect();
         values.sort_by(f64::total_cmp);
         let (Some(&min), Some(&max)) = (values.first(), values.last()) else {
-            return Self { min: 0.0, median: 0.0, max: 0.0 };
+            return Self { min: 0.0, median: 0.0, p99: 0.0, max: 0.0 };
         };
         let half = values.len() / 2;
         let median =
             if values.len() % 2 == 1 { values[half] } else { (values[half - 1] + values[half]) / 2.0 };
-        Self { min, median, max }
+        let p99 = values[(values.len() * 99).div_ceil(100) - 1];
+        Self { min, median, p99, max }
     }
 }
 

@@ -11,7 +11,7 @@ use point_skeleton::geometry::{Camera, View};
 use point_skeleton::hash::{between, hash, unit};
 
 /// Half the length of the street, meters.
-const HALF_LENGTH_M: f64 = 100.0;
+pub(super) const HALF_LENGTH_M: f64 = 100.0;
 /// Name, yaw to the left in degrees and focal length in pixels of each camera in the street.
 const CAMERAS: [(&str, f64, f64); 6] = [
     ("CAM_FRONT", 0.0, 1266.0),

@@ -1,7 +1,10 @@
 use std::ops::Range;
+use std::path::Path;
 use std::sync::Arc;
 
-use super::street;
+use glam::DAffine3;
+
+use super::{location, street};
 use point_skeleton::Log;
 use point_skeleton::cloud::{Point, PointFile};
 use point_skeleton::conditions::{ConditionOptions, ImageSize, MapKind, MapSet};
@@ -28,6 +31,8 @@ pub struct Workload {
 pub(super) enum Content {
     /// A cloud, and its place in the world.
     Cloud(Vec<Point>, SceneInstances),
+    /// A location of streets, and its chunks.
+    Location(Skeleton, SceneInstances),
     /// Skeleton, its substitutes, and name of the log.
     Log(Box<(Skeleton, Substitutes)>, String),
 }
@@ -63,6 +68,36 @@ impl Workload {
         let non_finite = cloud.non_finite;
         let content = Content::Cloud(cloud.points, placed);
         Self { content, frames: vec![frame], non_finite, skipped: 0 }
+    }
+
+    /// Opens a location of many streets in a folder, or writes it if there is none: at least `points` points, 10
+    /// million per street. The frames, a part of a drive of up to 1 km, are 1 m apart and have the cameras of the
+    /// street. `None` is the whole drive.
+    ///
+    /// # Errors
+    /// Fails if the folder has another skeleton or cannot be written, or if the drive has no such frames.
+    pub fn location(folder: &Path, points: usize, part: Option<Range<usize>>) -> Result<Self, BenchError> {
+        let drive = location::drive(points);
+        let (end, frames) = (part.as_ref().map_or(0, |part| part.end), drive.len());
+        if end > frames {
+            return Err(BenchError::NoFrames { found: end, frames });
+        }
+        let skeleton = location::open_or_write(folder, points)?;
+        let instance = |(cloud, origin)| {
+            let world_from_local = DAffine3::from_translation(origin);
+            Instance { cloud, world_from_local, number: 0 }
+        };
+        let chunks: Vec<Instance> = location::origins(&skeleton.manifest).enumerate().map(instance).collect();
+        let placed = SceneInstances { color: chunks.clone(), geometry: chunks };
+        let part = part.unwrap_or(0..frames);
+        let part = drive.into_iter().skip(part.start).take(part.len());
+        let frames = part.map(|(name, views)| WorkFrame { name, views, crop: None, state: None }).collect();
+        Ok(Self { content: Content::Location(skeleton, placed), frames, non_finite: 0, skipped: 0 })
+    }
+
+    /// Returns the disk space of a location with some number of points, bytes.
+    pub fn location_bytes(points: usize) -> u64 {
+        location::disk_bytes(points)
     }
 
     /// Creates a workload from the frames of a log that have cameras. `skeleton` was built from the log,
@@ -125,7 +160,7 @@ impl Workload {
             maps: options.maps,
             out_size: options.out_size,
         };
-        self.frames.iter().zip(placed).map(job).collect()
+        self.frames.iter().zip(placed.iter().cycle()).map(job).collect()
     }
 
     /// Returns the states of a log's frames.

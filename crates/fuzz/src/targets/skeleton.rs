@@ -14,8 +14,8 @@ use point_skeleton::scene::{
     EgoOffset, SceneClouds, SceneState, SelectionOptions, Substitutes, state_of_frame,
 };
 use point_skeleton::skeleton::{
-    AugmentOptions, Skeleton, Template, TemplateKind, TemplateLibrary, TemplateOptions,
-    TemplateReport, augment,
+    AugmentOptions, Skeleton, Template, TemplateKind, TemplateLibrary, TemplateOptions, TemplateReport,
+    augment,
 };
 use serde_json::Value;
 

@@ -47,7 +47,7 @@ pub(crate) fn run(args: SplatArgs) -> anyhow::Result<()> {
     let views = cloud::cameras::read(cameras)?;
     let cloud = cloud::read(points)?;
     print_notes(points, &cloud.notes);
-    let mut rasterizer = args.rasterizer.create(vec![&cloud.points])?;
+    let mut rasterizer = args.rasterizer.create(vec![(&cloud.points).into()])?;
     let instance = Instance { cloud: 0, world_from_local: cloud.world_from_local(), number: 0 };
     let clouds = SceneInstances { color: vec![instance], geometry: vec![instance] };
     let maps = [MapKind::Color, MapKind::Depth, MapKind::Class, MapKind::Point];

@@ -7,6 +7,7 @@ use point_skeleton::dataset::LogLocator;
 use point_skeleton::files::Inputs;
 use point_skeleton::raster::FRAMES_IN_FLIGHT;
 use point_skeleton::scene::SubstituteOptions;
+use point_skeleton::skeleton::Skeleton;
 use pskel_eval::bench::{BenchOptions, Workload};
 
 use crate::args::frames::FrameArgs;
@@ -23,15 +24,16 @@ use crate::{WrongUsage, logs, print_notes, print_progress, warn};
 /// resident. The workload is a synthetic street, a file of points, or the frames of a recording with its
 /// skeleton.
 #[derive(Debug, Args)]
-#[command(mut_arg("frames", |arg| arg.requires("log")))]
+#[command(mut_arg("frames", |arg| arg.requires("skeleton")))]
 pub(crate) struct BenchArgs {
     /// Recording whose frames are rendered in turn: [FORMAT:]PATH[@VERSION][#SCENE], like
     /// nuscenes:/data/nuscenes#scene-0061
     #[arg(value_parser = log::log, requires = "skeleton")]
     #[arg(conflicts_with_all = ["synthetic", "points", "cameras"])]
     log: Option<LogLocator>,
-    /// Skeleton that was built from the recording
-    #[arg(long, value_name = "SKEL", requires = "log")]
+    /// Skeleton that was built from the recording; with --synthetic a folder for a location of streets with 10 million
+    /// points each, which is written if it is missing (16 bytes per point). The frames are a drive of up to 1 km
+    #[arg(long, value_name = "SKEL", conflicts_with_all = ["points", "cameras"])]
     skeleton: Option<PathBuf>,
     #[command(flatten)]
     frames: FrameArgs,
@@ -49,7 +51,7 @@ pub(crate) struct BenchArgs {
     /// network inputs
     #[arg(long, value_name = "MAP,..", default_value = "color,depth,class,instance")]
     maps: MapSet,
-    /// Number of timed frames [default: 20]; with a recording, passes over all its frames [default: 1]
+    /// Number of timed frames [default: 20]; with a skeleton, passes over all frames [default: 1]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     #[arg(allow_negative_numbers = true)]
     repeat: Option<u32>,
@@ -88,6 +90,10 @@ impl BenchArgs {
             let expected = "expected a recording, or --maps out of color,depth,class,instance,point";
             return Err(WrongUsage(format!("{expected}, found {}", maps.join(","))));
         }
+        if self.skeleton.is_some() && self.log.is_none() && self.synthetic.is_none() {
+            let expected = "expected a recording, or --synthetic, with --skeleton";
+            return Err(WrongUsage(format!("{expected}, found neither")));
+        }
         if self.substitutes.options() != SubstituteOptions::default() && self.log.is_none() {
             let expected = "expected a recording with --templates, --no-default-templates or --augment";
             return Err(WrongUsage(format!("{expected}, found none")));
@@ -116,6 +122,17 @@ impl BenchArgs {
                 }
                 Ok(workload)
             }
+            (None, Some(skeleton), ..) => {
+                let count = self.synthetic.unwrap_or(DEFAULT_POINTS);
+                if !Skeleton::is_at(skeleton) {
+                    let (path, bytes) = (skeleton.display(), Workload::location_bytes(count));
+                    print_progress(&format!(
+                        "writing a location of {count} points, {} MB, to {path}",
+                        bytes / 1_000_000
+                    ));
+                }
+                Ok(Workload::location(skeleton, count, self.frames.of_any())?)
+            }
             (.., Some(points), Some(cameras)) => {
                 let views = cloud::cameras::read(cameras)?;
                 let cloud = cloud::read(points)?;
@@ -132,7 +149,7 @@ impl BenchArgs {
 
     /// Returns the options of the measurement.
     pub(super) fn options(&self) -> Result<BenchOptions, WrongUsage> {
-        let repeat = self.repeat.unwrap_or(if self.log.is_some() { 1 } else { DEFAULT_FRAMES });
+        let repeat = self.repeat.unwrap_or(if self.skeleton.is_some() { 1 } else { DEFAULT_FRAMES });
         Ok(BenchOptions {
             rasterizer: self.rasterizer.desc()?,
             conditions: ConditionOptions { maps: self.maps, ..self.size.conditions() },

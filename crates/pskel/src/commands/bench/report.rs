@@ -19,8 +19,8 @@ pub(super) fn table(result: &BenchResult, notes: &BTreeMap<&str, String>) -> Str
     line("size", &result.size);
     line("out size", &result.out_size.map_or("not reduced".to_owned(), |size| size.to_string()));
     line("frames", &result.frames.to_string());
-    let Spread { min, median, max } = result.frame_ms;
-    line("frame", &format!("min {min:.2}, median {median:.2}, max {max:.2} ms"));
+    let Spread { min, median, p99, max } = result.frame_ms;
+    line("frame", &format!("min {min:.2}, median {median:.2}, p99 {p99:.2}, max {max:.2} ms"));
     let mut stages: Vec<(&&str, &f64)> = result.stages_ms.iter().collect();
     stages.sort_by(|a, b| b.1.total_cmp(a.1));
     for (name, stage_ms) in stages {
@@ -60,7 +60,7 @@ mod tests {
             size: "900x1600".into(),
             out_size: None,
             frames: 20,
-            frame_ms: Spread { min: 10.0, median: 20.0, max: 40.0 },
+            frame_ms: Spread { min: 10.0, median: 20.0, p99: 39.0, max: 40.0 },
             stages_ms: BTreeMap::from([("copy", 5.0), ("splat", 15.0)]),
             points_per_s: 2e8,
             peak_rss_mb: None,
@@ -79,7 +79,7 @@ mod tests {
         for text in [
             "device       host\n",
             "points       4000000 (3 not finite)\n",
-            "frame        min 10.00, median 20.00, max 40.00 ms\n",
+            "frame        min 10.00, median 20.00, p99 39.00, max 40.00 ms\n",
             "  splat          15.00 ms  75.0 %\n  copy            5.00 ms  25.0 %\n",
             "points/s     200.0 million\n",
             "memory       not known\n",
@@ -98,7 +98,10 @@ mod tests {
     fn json_uses_command_line_names() {
         let json = serde_json::to_value(result()).unwrap();
         assert_eq!((&json["rasterizer"], &json["driver"]), (&"cpu".into(), &"plain".into()));
-        assert_eq!(json["frame_ms"], serde_json::json!({"min": 10.0, "median": 20.0, "max": 40.0}));
+        assert_eq!(
+            json["frame_ms"],
+            serde_json::json!({"min": 10.0, "median": 20.0, "p99": 39.0, "max": 40.0})
+        );
         assert_eq!(
             (&json["out_size"], &json["peak_rss_mb"]),
             (&serde_json::Value::Null, &serde_json::Value::Null)

@@ -6,9 +6,7 @@ use std::path::Path;
 use point_skeleton::cloud::{self, Bounds, Point, npy};
 use point_skeleton::error::FileError;
 use point_skeleton::files::Checksum;
-use point_skeleton::skeleton::{
-    Asset, BuildOptions, BuildReport, Chunk, Skeleton, SkeletonWriter, Source,
-};
+use point_skeleton::skeleton::{Asset, BuildOptions, BuildReport, Chunk, Skeleton, SkeletonWriter, Source};
 use serde_json::json;
 
 use super::Case;

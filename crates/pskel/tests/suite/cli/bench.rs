@@ -216,10 +216,7 @@ fn wrong_usage_exits_with_2() {
         ("bench --warm-up -1", "--warm-up"),
         ("bench --in-flight 3", "3 is not in 1..=2"),
         ("bench --splat 35:1,15:0", "rising depths"),
-        (
-            "bench --synthetic 9 --rasterizer graphics --memory 9",
-            "no --memory with --rasterizer graphics",
-        ),
+        ("bench --synthetic 9 --rasterizer graphics --memory 9", "no --memory with --rasterizer graphics"),
         ("bench --synthetic 9 --rasterizer cpu --device 0", "expected no --device with --rasterizer cpu"),
     ] {
         log.fail(args, 2, &[part]);

@@ -7,8 +7,7 @@ use point_skeleton::dataset::Class;
 use point_skeleton::error::FileError;
 use point_skeleton::files::Checksum;
 use point_skeleton::skeleton::{
-    Asset, BuildOptions, BuildReport, Chunk, Skeleton, SkeletonWriter, Source, TemplateKind,
-    TemplateLibrary,
+    Asset, BuildOptions, BuildReport, Chunk, Skeleton, SkeletonWriter, Source, TemplateKind, TemplateLibrary,
 };
 use serde_json::json;
 
