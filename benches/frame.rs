@@ -27,7 +27,7 @@ fn frames(criterion: &mut Criterion) {
         group.sample_size(10).sampling_mode(SamplingMode::Flat);
         group.warm_up_time(Duration::from_secs(1)).measurement_time(Duration::from_secs(8));
         group.throughput(Throughput::Elements(POINTS as u64));
-        match create(&kind.into(), vec![&cloud]) {
+        match create(&kind.into(), vec![(&cloud).into()]) {
             Ok(mut rasterizer) => sizes(&mut group, rasterizer.as_mut(), &views),
             Err(error) => eprintln!("{kind} is left out: {error}"),
         }

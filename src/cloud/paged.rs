@@ -76,6 +76,12 @@ impl PagedWriter {
         Ok(Self { path: path.to_owned(), points, table_path: table.to_owned(), table: Vec::new() })
     }
 
+    /// Returns the part of the table for a cloud.
+    pub fn table_of(points: &[Point]) -> Vec<u8> {
+        let pages: Vec<Page> = points.chunks(PAGE).map(Page::of).collect();
+        bytemuck::cast_slice(&pages).to_vec()
+    }
+
     /// Returns the file of points.
     pub fn path(&self) -> &Path {
         &self.path
@@ -285,7 +291,7 @@ mod tests {
         let stored: Vec<StoredCloud> = file.clouds().collect();
         for (stored, points) in stored.iter().zip(&clouds).rev() {
             assert_eq!((stored.len(), stored.is_empty()), (points.len(), points.is_empty()));
-            let bounds: Vec<_> = points.chunks(BLOCK).map(|block| Bounds::of(block)).collect();
+            let bounds: Vec<_> = points.chunks(BLOCK).map(Bounds::of).collect();
             assert_eq!(stored.blocks().collect::<Vec<_>>(), bounds);
             for (page, expected) in points.chunks(PAGE).enumerate().rev() {
                 let mut found = vec![Point::default(); expected.len()];

@@ -120,10 +120,9 @@ impl ViewPlanes {
         let sides = absolute(&camera_from_local.matrix3);
         let (middle, reach) = (camera_from_local.transform_point3(center), sides * half);
         let size = sides * center.abs() + camera_from_local.translation.abs() + reach;
-        self.planes.iter().all(|(normal, offset)| {
-            let most = normal.dot(middle) + offset + normal.abs().dot(reach + size * ROUNDING);
-            // Formulated so that NaN counts as seen.
-            !(most < 0.0)
+        // Formulated so that NaN counts as seen.
+        !self.planes.iter().any(|(normal, offset)| {
+            normal.dot(middle) + offset + normal.abs().dot(reach + size * ROUNDING) < 0.0
         })
     }
 }

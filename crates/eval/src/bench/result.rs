@@ -161,7 +161,7 @@ mod tests {
     #[test]
     fn computes_min_median_and_max() {
         let spread = |values: &[f64]| {
-            let Spread { min, median, max } = Spread::of(values.iter().copied());
+            let Spread { min, median, max, .. } = Spread::of(values.iter().copied());
             [min, median, max]
         };
         assert_eq!(spread(&[5.0, 1.0, 3.0]), [1.0, 3.0, 5.0]);
@@ -177,10 +177,16 @@ mod tests {
             frame(300, &[("splat", 80)]),
             frame(200, &[("splat", 70)]),
         ];
-        assert_eq!(frame_ms(&frames), Spread { min: 100.0, median: 200.0, max: 300.0 });
+        assert_eq!(frame_ms(&frames), Spread { min: 100.0, median: 200.0, p99: 300.0, max: 300.0 });
         // Two of three frames have no copy stage.
         assert_eq!(stages_ms(&frames), BTreeMap::from([("copy", 0.0), ("splat", 70.0)]));
         assert!((points_per_s(1000, &frames) - 5000.0).abs() < 1e-6);
         assert!(points_per_s(1000, &[frame(0, &[])]).is_finite());
+    }
+
+    #[test]
+    fn one_in_a_hundred_exceeds_the_99th_percentile() {
+        let p99 = |count: u32| Spread::of((1..=count).rev().map(f64::from)).p99;
+        assert_eq!([p99(1), p99(99), p99(100), p99(101), p99(1000)], [1.0, 99.0, 99.0, 100.0, 990.0]);
     }
 }

@@ -32,7 +32,7 @@ pub(super) enum Content {
     /// A cloud, and its place in the world.
     Cloud(Vec<Point>, SceneInstances),
     /// A location of streets, and its chunks.
-    Location(Skeleton, SceneInstances),
+    Location(Box<Skeleton>, SceneInstances),
     /// Skeleton, its substitutes, and name of the log.
     Log(Box<(Skeleton, Substitutes)>, String),
 }
@@ -92,7 +92,7 @@ impl Workload {
         let part = part.unwrap_or(0..frames);
         let part = drive.into_iter().skip(part.start).take(part.len());
         let frames = part.map(|(name, views)| WorkFrame { name, views, crop: None, state: None }).collect();
-        Ok(Self { content: Content::Location(skeleton, placed), frames, non_finite: 0, skipped: 0 })
+        Ok(Self { content: Content::Location(Box::new(skeleton), placed), frames, non_finite: 0, skipped: 0 })
     }
 
     /// Returns the disk space of a location with some number of points, bytes.

@@ -2,11 +2,11 @@
 
 use std::cell::RefCell;
 
-use point_skeleton::cloud::{Bounds, Point};
+use point_skeleton::cloud::paged::PagedWriter;
+use point_skeleton::cloud::{Bounds, Cloud, Point};
 use point_skeleton::dataset::LogReader;
 use point_skeleton::error::FileError;
-use point_skeleton::files::Checksum;
-use point_skeleton::files::Inputs;
+use point_skeleton::files::{Checksum, Inputs};
 use point_skeleton::geometry::View;
 use point_skeleton::raster::reference::ReferenceRasterizer;
 use point_skeleton::raster::{Crop, FrameJob, MapSet, Occlusion, Rasterizer, SplatSchedule};
@@ -88,7 +88,8 @@ fn draw_folder(stored: &Stored, data: &[u8]) {
     let opened = Skeleton::open(stored.folder.root());
     let checked = opened.and_then(|skeleton| {
         // Reading the clouds compares checksums.
-        let lengths = skeleton.clouds().iter().map(|cloud| cloud.len()).collect::<Vec<usize>>();
+        let length = |cloud: &Cloud| Ok::<_, FileError>(cloud.points()?.len());
+        let lengths = skeleton.clouds().iter().map(length).collect::<Result<Vec<usize>, _>>()?;
         Ok((skeleton, lengths))
     });
     match checked {
@@ -154,8 +155,7 @@ fn manifest_seeds() -> Vec<Seed> {
 fn points(data: &[u8]) {
     SKELETON.with_borrow_mut(|stored| {
         let (whose, bytes) = data.split_first().unwrap_or((&0, &[]));
-        let (list, file) =
-            [("background", "background.points"), ("actors", "actors.points")][usize::from(whose % 2)];
+        let list = ["background", "actors"][usize::from(whose % 2)];
         let count = bytes.len() / size_of::<Point>();
         let mut manifest = stored.manifest.clone();
         if let Some(Value::Array(clouds)) = manifest.get_mut(list) {
@@ -163,8 +163,16 @@ fn points(data: &[u8]) {
             clouds[0]["points"] = count.into();
             clouds[0]["xxh3"] = Checksum::of(&bytes[..count * size_of::<Point>()]).to_string().into();
         }
+        let (words, _) = bytes.as_chunks::<4>();
+        let point = |[x, y, z, rgb_class]: &[[u8; 4]; 4]| {
+            let position = [x, y, z].map(|word| f32::from_le_bytes(*word));
+            Point { position, rgb_class: u32::from_le_bytes(*rgb_class) }
+        };
+        let table = PagedWriter::table_of(&words.as_chunks().0.iter().map(point).collect::<Vec<Point>>());
+        manifest["pages"][list] = Checksum::of(&table).to_string().into();
         stored.folder.put(MANIFEST, manifest.to_string().as_bytes());
-        stored.folder.put(file, &bytes[..count * size_of::<Point>()]);
+        stored.folder.put(&format!("{list}.points"), &bytes[..count * size_of::<Point>()]);
+        stored.folder.put(&format!("{list}.pages"), &table);
         draw_folder(stored, data);
         stored.folder.reset();
     });
