@@ -1,4 +1,6 @@
 //! Clouds in files and small budgets: the maps are those of everything in memory.
+//!
+//! `PSKEL_STREAMED_FACTOR=650` does the same with 50 million points.
 
 use std::path::Path;
 
@@ -24,6 +26,11 @@ const SIDE_M: f64 = 30.0;
 /// A place with city coordinates.
 const CITY: DVec3 = DVec3::new(664_000.0, 3_997_000.0, 10.0);
 
+/// Factor of all numbers of points, and of the budgets.
+fn factor() -> u64 {
+    std::env::var("PSKEL_STREAMED_FACTOR").map_or(1, |factor| factor.parse().unwrap())
+}
+
 /// Clouds along a street: a file, the same points in memory, and their instances.
 struct Street {
     file: PagedFile,
@@ -42,7 +49,7 @@ fn street(folder: &Path, random: &mut Random) -> Street {
         sort_in_space(&mut points);
         points
     };
-    let sizes = [9000, 20_000, 4096, 0, 14_000, 300, 17_000, 12_000];
+    let sizes = [9000, 20_000, 4096, 0, 14_000, 300, 17_000, 12_000].map(|size| size * factor());
     let points: Vec<Vec<Point>> = sizes.iter().map(|count| cloud(*count, random)).collect();
     let mut writer = PagedWriter::create(&folder.join("points"), &folder.join("pages")).unwrap();
     points.iter().for_each(|points| writer.add(points).unwrap());
@@ -95,11 +102,12 @@ fn rasterizers<'a>(
     clouds: &CloudSet<'a>,
     chunks: u64,
 ) -> Vec<Result<Box<dyn Rasterizer + 'a>, RasterError>> {
+    let chunks = chunks * factor();
     let cpu = CpuRasterizerDesc { memory_bytes: Some(chunks * 4096 * 17), ..CpuRasterizerDesc::default() };
     let cpu = CpuRasterizer::with_desc(clouds.clone(), cpu);
     let graphics = GraphicsRasterizerDesc {
         memory_bytes: Some(chunks * 4096 * 16),
-        page_points: Some(3 * 4096),
+        page_points: Some(3 * 4096 * factor() as u32),
         ..GraphicsRasterizerDesc::default()
     };
     let graphics = GraphicsRasterizer::with_desc(device.clone(), clouds, graphics);
@@ -111,8 +119,8 @@ fn rasterizers<'a>(
         let desc = ComputeRasterizerDesc {
             // Colors take half of the budget.
             memory_bytes: Some(2 * chunks * 4096 * 4),
-            streamed_rows: Some(1),
-            page_rows: Some(2),
+            streamed_rows: Some(factor().min(512) as u32),
+            page_rows: Some(2 * factor() as u32),
             ..ComputeRasterizerDesc::default()
         };
         let compute = ComputeRasterizer::with_desc(device.clone(), clouds, desc);
@@ -197,7 +205,7 @@ fn damaged_and_truncated_files_are_named_once_their_points_are_seen() {
     let schedule: SplatSchedule = "20:1".parse().unwrap();
     // Some byte of the second cloud.
     let mut bytes = std::fs::read(&path).unwrap();
-    bytes[(9000 + 5000) * 16] ^= 4;
+    bytes[(9000 * factor() as usize + 5000) * 16] ^= 4;
     std::fs::write(&path, &bytes).unwrap();
     with_device(|device| {
         for rasterizer in rasterizers(&device, &stored, 100) {
@@ -211,7 +219,7 @@ fn damaged_and_truncated_files_are_named_once_their_points_are_seen() {
             // The rest of the street is as good as before.
             assert!(frame(rasterizer.as_mut(), &job(&street, &far, &schedule)).unwrap() == good);
         }
-        std::fs::File::options().write(true).open(&path).unwrap().set_len(9000 * 16).unwrap();
+        std::fs::File::options().write(true).open(&path).unwrap().set_len(9000 * factor() * 16).unwrap();
         for rasterizer in rasterizers(&device, &stored, 100) {
             let near = views(45.0, 0.0);
             let error = frame(rasterizer.unwrap().as_mut(), &job(&street, &near, &schedule)).unwrap_err();

@@ -119,6 +119,34 @@ fn frames_equal_the_maps_of_splat() {
 }
 
 #[test]
+fn a_location_is_written_once_and_driven_through() {
+    let log = TinyLog::new();
+    let bench = "bench --synthetic 30000 --skeleton streets --size 90x160 --rasterizer cpu --warm-up 1";
+    let first = json(&log, &format!("{bench} --frames 0..3"));
+    assert_eq!(["/points", "/frames"].map(|key| number(&first, key)), [30_000.0, 3.0]);
+    assert!(number(&first, "/filled") > 100.0 && first["stages_ms"]["load"].is_number());
+    let written = std::fs::metadata(log.path("streets/skeleton.json")).unwrap().modified().unwrap();
+    // 101 frames, 1 m apart; the memory for points does not change them.
+    let whole = json(&log, &format!("{bench} --memory 2"));
+    assert_eq!(number(&whole, "/frames"), 101.0);
+    let last = json(&log, &format!("{bench} --frames 100..101 --rasterizer auto"));
+    assert_eq!(last["filled"], whole["filled"]);
+    assert_ne!(last["filled"], first["filled"]);
+    assert_eq!(std::fs::metadata(log.path("streets/skeleton.json")).unwrap().modified().unwrap(), written);
+    for (args, words) in [
+        ("--memory 0", "the cameras of a frame may see points of 2 MiB, but 0 MiB are allowed (--memory)"),
+        ("--frames 7..102", "expected frames within 0..101, the drive through this location, found ..102"),
+    ] {
+        log.fail(&format!("{bench} {args}"), 1, &[words]);
+    }
+    log.fail(
+        &bench.replace("30000", "20000"),
+        1,
+        &["expected a location of 1 streets with 20000 points each"],
+    );
+}
+
+#[test]
 fn renders_a_recording_frame_by_frame() {
     let log = TinyLog::new();
     log.succeed("build nuscenes:log --out sk");
@@ -196,8 +224,8 @@ fn wrong_usage_exits_with_2() {
         ("bench nuscenes:log --skeleton sk --synthetic 9", "cannot be used with"),
         ("bench nuscenes:log --skeleton sk --points p.npy --cameras c.json", "cannot be used with"),
         ("bench nuscenes:log", "--skeleton <SKEL>"),
-        ("bench --skeleton sk", "<LOG>"),
-        ("bench --frames 0..1", "<LOG>"),
+        ("bench --skeleton sk", "expected a recording, or --synthetic, with --skeleton, found neither"),
+        ("bench --frames 0..1", "--skeleton <SKEL>"),
         ("bench --points p.npy", "--cameras <C.json>"),
         ("bench --cameras c.json", "--points <P.npy|P.ply>"),
         ("bench --synthetic 0", "expected 1 to 4294967294 points"),
