@@ -57,6 +57,7 @@ mod bits;
 mod log;
 mod maps;
 mod renderer;
+mod vectors;
 
 pub use conditions::{CameraConditions, ConditionOptions, ImageSize, MapFormat, MapKind, MapSet};
 pub use log::Log;

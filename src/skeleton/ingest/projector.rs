@@ -3,6 +3,7 @@
 use glam::{DAffine3, DMat3, DVec2, DVec3};
 
 use crate::geometry::{Lens, View};
+use crate::vectors::wide;
 
 /// Corners of the axis-aligned box around points, meters.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -129,7 +130,10 @@ impl Projector {
             }
             return;
         }
-        pulp::Arch::new().dispatch(|| self.pinhole_pixels([x, y, z], pixels));
+        wide(
+            #[inline(always)]
+            || self.pinhole_pixels([x, y, z], pixels),
+        );
     }
 
     /// Computes pixels without a lens, with the operation order of [`DAffine3::transform_point3`].

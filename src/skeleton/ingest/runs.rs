@@ -128,7 +128,7 @@ impl Runs {
     }
 
     /// Passes the merged sums of each cell to `take`, in the order of the list. Reads a few cells in
-    /// parallel.
+    /// parallel, while `take` runs on this thread for the previous ones.
     ///
     /// # Errors
     /// Fails if a run cannot be read or is damaged. Returns any error of `take`.
@@ -144,9 +144,14 @@ impl Runs {
             let add = |sums, run: &Run| Ok::<_, FileError>(merge_two(sums, run.read(*cell)?));
             Ok((*cell, self.0.iter().try_fold(Vec::new(), add)?))
         };
-        for some in cells.chunks(CELLS_PER_BATCH) {
-            let merged: Result<Vec<_>, FileError> = some.par_iter().map(of).collect();
-            merged?.into_iter().try_for_each(|(cell, sums)| take(cell, sums))?;
+        let mut ready = Vec::new();
+        for some in cells.chunks(CELLS_PER_BATCH).chain([&[] as &[Cell]]) {
+            let mut merged: Result<Vec<_>, FileError> = Ok(Vec::new());
+            rayon::in_place_scope(|scope| {
+                scope.spawn(|_| merged = some.par_iter().map(of).collect());
+                ready.drain(..).try_for_each(|(cell, sums)| take(cell, sums))
+            })?;
+            ready = merged?;
         }
         Ok(())
     }

@@ -3,7 +3,8 @@
 //! # How it works
 //! A point can take its color from images of some frames before and after its own. Occlusion in such an image
 //! is determined by the sweeps around that image. Sweeps and images are therefore retained in a window that
-//! moves along the log, so memory does not grow with the log's length.
+//! moves along the log, so memory does not grow with the log's length. Frames that have left the window are
+//! emitted while the next ones are read.
 
 use std::collections::VecDeque;
 
@@ -84,19 +85,18 @@ impl<'a> Stream<'a> {
         let first_view = first.saturating_sub(color);
         let mut window = Window { start: first_view.saturating_sub(hide), clouds: VecDeque::new() };
         let mut views: VecDeque<(usize, Vec<ColorView>)> = VecDeque::new();
+        let mut leaving: Vec<FrameCloud> = Vec::new();
         for step in first_view..self.frames.len() + keep {
             if progress.is_stopped() {
                 return Err(BuildError::Stopped);
             }
-            if step < self.frames.len() {
-                self.read_ahead(&mut window, step + hide, progress)?;
-                let records = self.new_records(step);
-                let loaded = self.load_views(step, &records, &window, progress)?;
-                let cloud = &mut window.clouds[step - window.start];
-                cloud.images = loaded.len();
-                cloud.damaged[1] = records.len() - loaded.len();
-                views.push_back((step, loaded));
-            }
+            // `emit` stays on this thread, on which progress callbacks may depend.
+            let mut read = Ok(());
+            rayon::in_place_scope(|scope| {
+                scope.spawn(|_| read = self.read_step(step, &mut window, &mut views, progress));
+                leaving.drain(..).try_for_each(&mut emit)
+            })?;
+            read?;
             if let Some(frame) = step.checked_sub(color).filter(|f| (first..self.frames.len()).contains(f)) {
                 self.color_frame(&mut window.clouds[frame - window.start].sweeps, &views);
             }
@@ -106,10 +106,30 @@ impl<'a> Stream<'a> {
             while step.checked_sub(keep).is_some_and(|last| window.start <= last) {
                 let Some(cloud) = window.clouds.pop_front() else { break };
                 if window.start >= first {
-                    emit(cloud)?;
+                    leaving.push(cloud);
                 }
                 window.start += 1;
             }
+        }
+        leaving.into_iter().try_for_each(emit)
+    }
+
+    /// Reads what the frame at index `step` needs, if there is one.
+    fn read_step(
+        &self,
+        step: usize,
+        window: &mut Window,
+        views: &mut VecDeque<(usize, Vec<ColorView>)>,
+        progress: &dyn Progress,
+    ) -> Result<(), BuildError> {
+        if step < self.frames.len() {
+            self.read_ahead(window, step + self.windows()[1], progress)?;
+            let records = self.new_records(step);
+            let loaded = self.load_views(step, &records, window, progress)?;
+            let cloud = &mut window.clouds[step - window.start];
+            cloud.images = loaded.len();
+            cloud.damaged[1] = records.len() - loaded.len();
+            views.push_back((step, loaded));
         }
         Ok(())
     }

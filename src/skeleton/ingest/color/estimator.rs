@@ -45,9 +45,26 @@ pub(crate) struct ColorSample {
     pub weight: f32,
 }
 
-impl ColorSample {
-    /// Value of unused samples.
-    pub(crate) const NONE: Self = Self { rgb: [0; 3], weight: 0.0 };
+/// Number of points whose colors are estimated at once.
+pub(crate) const LANES: usize = 16;
+
+/// A sample of each of some points. A sample without weight, as of a point with fewer samples than others,
+/// changes nothing.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct LaneSamples {
+    rgb: [[u8; LANES]; 3],
+    weight: [f32; LANES],
+}
+
+impl LaneSamples {
+    pub(crate) const NONE: Self = Self { rgb: [[0; LANES]; 3], weight: [0.0; LANES] };
+
+    /// Sets the sample of a point.
+    #[inline(always)]
+    pub(crate) fn set(&mut self, lane: usize, sample: ColorSample) {
+        (0..3).for_each(|c| self.rgb[c][lane] = sample.rgb[c]);
+        self.weight[lane] = sample.weight;
+    }
 }
 
 /// Width of the images that the default schedule is for, pixels.
@@ -106,15 +123,27 @@ fn square_mean<const SIDE: usize, const LANES: usize>(
     first: usize,
     row: usize,
 ) -> Option<[u8; 3]> {
-    let mut sums = [0_u16; LANES];
-    for line in 0..SIDE {
-        let line: &[u8; LANES] = levels.get(first + line * row..)?.first_chunk()?;
-        sums.iter_mut().zip(line).for_each(|(sum, level)| *sum += u16::from(*level));
+    let mut rows = [&[0_u8; LANES]; SIDE];
+    for (line, found) in rows.iter_mut().enumerate() {
+        *found = levels.get(first + line * row..)?.first_chunk()?;
     }
+    let mut sums = [0_u16; LANES];
+    for row in rows {
+        sums.iter_mut().zip(row).for_each(|(sum, level)| *sum += u16::from(*level));
+    }
+    Some(mean_of_columns::<SIDE>(&sums))
+}
+
+/// Returns the mean color over a square of `SIDE` pixels from sums over its columns. Not inlined: the compiler
+/// would otherwise sum up each channel level by level, without vectors, in twice the time.
+#[inline(never)]
+fn mean_of_columns<const SIDE: usize>(sums: &[u16]) -> [u8; 3] {
     let mut sum = [0_u32; 3];
-    sums.iter().take(3 * SIDE).enumerate().for_each(|(i, level)| sum[i % 3] += u32::from(*level));
+    for column in sums.as_chunks::<3>().0.iter().take(SIDE) {
+        (0..3).for_each(|c| sum[c] += u32::from(column[c]));
+    }
     let count = (SIDE * SIDE) as u32;
-    Some(sum.map(|sum| ((sum + count / 2) / count) as u8))
+    sum.map(|sum| ((sum + count / 2) / count) as u8)
 }
 
 /// Returns the mean color over the pixels up to a radius around a pixel, within the image.
@@ -132,34 +161,36 @@ fn clipped_mean(levels: &[u8], [width, height]: [usize; 2], [x, y]: [usize; 2], 
     sum.map(|sum| ((sum + count / 2) / count.max(1)) as u8)
 }
 
-/// Returns the color that the looks agree on: their mean, weighted by `1 / (1 + (d / TOLERANCE)²)`, where `d`
-/// is the difference of a look from the mean. `None` without looks.
+/// Returns the color on which the samples of each point agree: their mean, weighted by
+/// `1 / (1 + (d / TOLERANCE)²)`, where `d` is the difference of a sample from the mean. Meaningless for points
+/// without samples.
 #[inline(always)] // into loops that are compiled for wide vectors
-pub(crate) fn agreed_color(samples: &[ColorSample]) -> Option<[u8; 3]> {
-    if samples.is_empty() {
-        return None;
-    }
-    let mut color = weighted_mean(samples, |_| 1.0);
+pub(crate) fn agreed_colors(samples: &[LaneSamples]) -> [[u8; 3]; LANES] {
+    let mut color = weighted_means(samples, |_, _| 1.0);
     for _ in 0..ROUNDS {
-        color = weighted_mean(samples, |rgb| {
-            let differs = (0..3).map(|c| (rgb[c] - color[c]).abs()).sum::<f32>() / TOLERANCE;
+        color = weighted_means(samples, |lane, rgb| {
+            let differs = (0..3).map(|c| (rgb[c] - color[c][lane]).abs()).sum::<f32>() / TOLERANCE;
             1.0 / (1.0 + differs * differs)
         });
     }
-    Some(color.map(|level| (level + 0.5) as u8))
+    std::array::from_fn(|lane| color.map(|levels| (levels[lane] + 0.5) as u8))
 }
 
-/// Returns the mean color of looks; `trust` is a weight factor for a look with a given color.
+/// Returns the mean color of each point's samples; `trust` is a weight factor for a sample of a point with a
+/// given color.
 #[inline(always)]
-fn weighted_mean(samples: &[ColorSample], trust: impl Fn([f32; 3]) -> f32) -> [f32; 3] {
-    let (mut sum, mut total) = ([0.0_f32; 3], 0.0_f32);
+#[allow(clippy::needless_range_loop)] // loops over lanes: this form vectorizes
+fn weighted_means(samples: &[LaneSamples], trust: impl Fn(usize, [f32; 3]) -> f32) -> [[f32; LANES]; 3] {
+    let (mut sums, mut totals) = ([[0.0_f32; LANES]; 3], [0.0_f32; LANES]);
     for sample in samples {
-        let rgb = sample.rgb.map(f32::from);
-        let weight = sample.weight * trust(rgb);
-        (0..3).for_each(|c| sum[c] += weight * rgb[c]);
-        total += weight;
+        for lane in 0..LANES {
+            let rgb = [0, 1, 2].map(|c| f32::from(sample.rgb[c][lane]));
+            let weight = sample.weight[lane] * trust(lane, rgb);
+            (0..3).for_each(|c| sums[c][lane] += weight * rgb[c]);
+            totals[lane] += weight;
+        }
     }
-    sum.map(|level| level / total)
+    sums.map(|sum| std::array::from_fn(|lane| sum[lane] / totals[lane]))
 }
 
 #[cfg(test)]
@@ -178,11 +209,23 @@ mod tests {
         ColorSample { rgb: [grey; 3], weight }
     }
 
+    /// Returns the color of a point among others with other samples.
+    fn agreed_color(samples: &[ColorSample]) -> [u8; 3] {
+        let mut lanes = vec![LaneSamples::NONE; samples.len() + 1];
+        for (all, sample) in lanes.iter_mut().zip(samples) {
+            all.set(5, *sample);
+            all.set(6, ColorSample { rgb: [99; 3], weight: 7.0 });
+        }
+        lanes[samples.len()].set(4, ColorSample { rgb: [7; 3], weight: 0.5 });
+        let colors = agreed_colors(&lanes);
+        assert_eq!((colors[4], colors[6]), ([7; 3], [99; 3]));
+        colors[5]
+    }
+
     #[test]
     fn the_majority_outvotes_a_nearer_view() {
-        assert_eq!(agreed_color(&[]), None);
-        assert_eq!(agreed_color(&[sample(9, 0.1)]), Some([9; 3]));
-        let agreed = |samples: &[ColorSample]| agreed_color(samples).unwrap()[0];
+        assert_eq!(agreed_color(&[sample(9, 0.1)]), [9; 3]);
+        let agreed = |samples: &[ColorSample]| agreed_color(samples)[0];
         // The plain mean is 92.
         assert!((10..20).contains(&agreed(&[sample(200, 0.3), sample(10, 0.2), sample(12, 0.2)])));
         // The plain mean is 191; at 254, black counts 1/59 as much as white.
@@ -193,14 +236,14 @@ mod tests {
     #[test]
     fn similar_samples_are_averaged() {
         let samples = [sample(100, 0.1), sample(104, 0.3), sample(103, 0.1)];
-        assert_eq!(agreed_color(&samples), Some([103; 3]));
+        assert_eq!(agreed_color(&samples), [103; 3]);
         let other =
             [samples[2], samples[0], samples[1]].map(|l| ColorSample { weight: l.weight * 50.0, ..l });
-        assert_eq!(agreed_color(&other), Some([103; 3]));
+        assert_eq!(agreed_color(&other), [103; 3]);
         let every = |rgb| ColorSample { rgb, weight: 0.01 };
         for level in 0..=255 {
             let rgb = [level, 255 - level, 7];
-            assert_eq!(agreed_color(&[every(rgb); 5]), Some(rgb));
+            assert_eq!(agreed_color(&[every(rgb); 5]), rgb);
         }
     }
 
@@ -233,7 +276,7 @@ mod tests {
             let mut samples: Vec<ColorSample> = (0..count).map(sample).collect();
             let expected = naive(&samples);
             for _ in 0..2 {
-                let found = agreed_color(&samples).unwrap();
+                let found = agreed_color(&samples);
                 let off = |c: usize| (f64::from(found[c]) - expected[c]).abs();
                 assert!((0..3).all(|c| off(c) < 0.501), "{found:?} {expected:?}");
                 samples.reverse();

@@ -2,11 +2,12 @@ use glam::DAffine3;
 use rayon::prelude::*;
 
 use super::estimator::{Candidate, ColorView};
-use super::estimator::{ColorSample, agreed_color};
+use super::estimator::{LANES, LaneSamples, agreed_colors};
 use crate::cloud::{Bounds, Point, morton_order};
 use crate::skeleton::ingest::projector::{Corners, Pixels, PointColumns};
 use crate::skeleton::ingest::sweep::SweepCloud;
 use crate::skeleton::{Coloring, Projector};
+use crate::vectors::wide;
 
 /// Number of points per job.
 const JOB: usize = 1024;
@@ -17,20 +18,21 @@ pub(in super::super) fn sweep(
     t_us: i64,
     views: &[&ColorView],
     how: Coloring,
-    place: impl Fn(Option<usize>, i64) -> Option<DAffine3>,
+    place: impl Fn(Option<usize>, i64) -> Option<DAffine3> + Sync,
 ) {
-    for (track, points) in cloud.parts_mut() {
+    let parts: Vec<_> = cloud.parts_mut().collect();
+    parts.into_par_iter().for_each(|(track, points)| {
         if how == Coloring::EveryCamera {
             if let Some(place) = place(track, t_us) {
                 copy_for_every_view(views, &place, points);
             }
-            continue;
+            return;
         }
         let placed: Vec<(&ColorView, Projector)> = (views.iter())
             .filter_map(|view| Some((*view, Projector::new(&view.view, &place(track, view.t_us)?))))
             .collect();
         color_part(points, &placed);
-    }
+    });
 }
 
 /// Colors the points of a part in spatial order, so that neighbors are close in every image.
@@ -71,9 +73,9 @@ fn color_jobs(points: &mut [Candidate], views: &[(&ColorView, Projector)], hidde
 struct Workspace {
     columns: PointColumns,
     pixels: Pixels,
-    /// Looks at each point, as many places as views.
-    samples: Vec<ColorSample>,
-    /// Number of looks at each point.
+    /// Samples of each group of points, as many as views.
+    samples: Vec<LaneSamples>,
+    /// Number of samples of each point.
     counts: Vec<usize>,
 }
 
@@ -86,29 +88,40 @@ impl Workspace {
         let bounds = Corners::of(positions.clone());
         columns.set(positions);
         let near: Vec<_> = views.iter().filter(|(_, project)| !project.misses(&bounds)).collect();
-        let places = near.len();
-        if samples.len() < points.len() * places {
-            samples.resize(points.len() * places, ColorSample::NONE);
-        }
+        let places = near.len().max(1);
+        samples.clear();
+        samples.resize(points.len().div_ceil(LANES) * places, LaneSamples::NONE);
         counts.clear();
         counts.resize(points.len(), 0);
         for (view, project) in &near {
             project.pixels(columns, pixels);
             let radii = view.radii();
-            pulp::Arch::new().dispatch(|| {
-                for (i, pixel, depth_m) in pixels.iter() {
-                    if hidden == Hidden::Accepted || !view.hides(pixel, depth_m) {
-                        samples[i * places + counts[i]] = view.sample(radii, pixel, depth_m);
-                        counts[i] += 1;
+            wide(
+                #[inline(always)]
+                || {
+                    for (i, pixel, depth_m) in pixels.iter() {
+                        if hidden == Hidden::Accepted || !view.hides(pixel, depth_m) {
+                            let sample = view.sample(radii, pixel, depth_m);
+                            samples[i / LANES * places + counts[i]].set(i % LANES, sample);
+                            counts[i] += 1;
+                        }
+                    }
+                },
+            );
+        }
+        wide(
+            #[inline(always)]
+            || {
+                let groups = points.chunks_mut(LANES).zip(counts.chunks(LANES)).zip(samples.chunks(places));
+                for ((points, counts), samples) in groups {
+                    let most = counts.iter().max().map_or(0, |most| *most);
+                    let colors = agreed_colors(&samples[..most]);
+                    for ((point, count), color) in points.iter_mut().zip(counts).zip(colors) {
+                        point.rgb = (*count > 0).then_some(color);
                     }
                 }
-            });
-        }
-        pulp::Arch::new().dispatch(|| {
-            for (i, (point, count)) in points.iter_mut().zip(&*counts).enumerate() {
-                point.rgb = agreed_color(&samples[i * places..][..*count]);
-            }
-        });
+            },
+        );
     }
 }
 
