@@ -71,9 +71,10 @@ pub fn gray_16(
     kind: MapKind,
     bins: &DepthBins,
 ) -> Result<Option<Vec<u16>>, ConditionError> {
-    let value = |depth_m: &f32| bins.png_value(bins.bin(*depth_m));
     match camera.pixels(kind) {
-        Some(MapPixels::Depth(map)) => Ok(Some(map.iter().map(value).collect())),
+        Some(MapPixels::Depth(map)) => {
+            Ok(Some(bins.bins(map).into_iter().map(|bin| bins.png_value(bin)).collect()))
+        }
         Some(MapPixels::Number(map)) => to_u16(map, kind, path).map(Some),
         Some(MapPixels::Rgb(_) | MapPixels::Class(_) | MapPixels::Channels(_)) | None => Ok(None),
     }
