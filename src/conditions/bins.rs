@@ -51,17 +51,29 @@ impl DepthBins {
     /// not positive, as the −300 in files).
     #[inline]
     pub fn bin(&self, depth_m: f32) -> u16 {
-        if !(depth_m.is_finite() && depth_m > 0.0) {
-            return 0;
-        }
-        let depth_m = depth_m.min(self.far_m);
         match self.scale {
-            BinScale::Linear => {
-                let steps = f32::from(self.count) - 1.0;
-                (depth_m / (self.far_m + EPSILON) * steps) as u16 + 1
-            }
-            BinScale::Log => self.log_bin(depth_m),
+            BinScale::Linear => self.linear_bin(depth_m),
+            BinScale::Log if is_empty(depth_m) => 0,
+            BinScale::Log => self.log_bin(depth_m.min(self.far_m)),
         }
+    }
+
+    /// Returns the bin of each depth of a map, in meters, as [`DepthBins::bin`] does.
+    pub fn bins(&self, depth_m: &[f32]) -> Vec<u16> {
+        match self.scale {
+            // A loop of its own, which compiles to vectors.
+            BinScale::Linear => depth_m.iter().map(|depth_m| self.linear_bin(*depth_m)).collect(),
+            BinScale::Log => depth_m.iter().map(|depth_m| self.bin(*depth_m)).collect(),
+        }
+    }
+
+    /// Calculates the bin of an empty pixel too, so that there is no branch.
+    #[inline]
+    fn linear_bin(&self, depth_m: f32) -> u16 {
+        let steps = f32::from(self.count) - 1.0;
+        let within_m = depth_m.min(self.far_m).max(0.0);
+        let bin = (within_m / (self.far_m + EPSILON) * steps) as i32 as u16 + 1;
+        if is_empty(depth_m) { 0 } else { bin }
     }
 
     fn log_bin(&self, depth_m: f32) -> u16 {
@@ -97,6 +109,10 @@ impl DepthBins {
     }
 }
 
+fn is_empty(depth_m: f32) -> bool {
+    !(depth_m.is_finite() && depth_m > 0.0)
+}
+
 /// `ln(1 + x)` in `f64`, rounded once to `f32`, so that the result does not depend on the platform's
 /// `log1pf`.
 fn ln_1p(x: f32) -> f32 {
@@ -118,6 +134,10 @@ mod tests {
             }
             assert_eq!(bins.bin(1e-5), 1);
             assert_eq!(bins.bin(50.0), bins.bin(1e9));
+            let depths = [f32::NAN, 20.0, f32::INFINITY, 31.0, -300.0, 1e-5, 1e9, 0.0, -0.1, f32::MIN];
+            assert_eq!(bins.bins(&depths), depths.map(|depth_m| bins.bin(depth_m)));
+            let most = DepthBins { count: u16::MAX, ..bins };
+            assert_eq!(most.bins(&[1e9, f32::NEG_INFINITY]), [u16::MAX, 0]);
         }
         // 50 + 1e-6 is 50 in f32.
         assert_eq!(LINEAR.bin(50.0), 256);

@@ -18,7 +18,12 @@ pub(crate) const GLYPH: u32 = 8;
 impl Canvas {
     /// Creates a canvas filled with one color.
     pub fn new(size: ImageSize, rgb: [u8; 3]) -> Self {
-        Self { size, pixels: vec![rgb; size.pixels()] }
+        Self { size, pixels: vec![rgb; size.width as usize].repeat(size.height as usize) }
+    }
+
+    /// Fills a rectangle with one color.
+    pub(crate) fn fill(&mut self, at: [u32; 2], size: ImageSize, rgb: [u8; 3]) {
+        self.rows(at, size).for_each(|row| row.fill(rgb));
     }
 
     /// Applies a function to every pixel of a rectangle; the function also gets the position within the

@@ -6,6 +6,8 @@
 //! three. Classes and numbers are shown as colors over the depth in dark gray. Tiles are scaled down to at
 //! most [`TILE_WIDTH_PX`].
 
+use std::borrow::Cow;
+use std::cell::OnceCell;
 use std::path::Path;
 
 use super::canvas::{Canvas, GLYPH, text_width};
@@ -75,14 +77,12 @@ pub fn draw(set: &ConditionSet, bins: &DepthBins, caption: &str) -> (ImageSize, 
     };
     let mut canvas = Canvas::new(size, BACKGROUND);
     canvas.text([MARGIN, MARGIN], 2, TEXT, caption);
+    let (shades, tiles) = (Shades::of(bins), grid.tiles(set));
     for (place, &kind) in (0..).zip(&kinds) {
         let top = MARGIN + TITLE + place * (block + MARGIN);
         canvas.text([MARGIN, top + 6], 2, TEXT, kind.name());
         legend(&mut canvas, MARGIN + grid.width(), top + 6, kind, bins);
-        for (camera, corner) in set.cameras.iter().zip(&grid.corners) {
-            let at = [MARGIN + corner[0], top + TITLE + corner[1]];
-            draw_tile(&mut canvas, at, &grid, camera, kind, bins);
-        }
+        tiles.iter().for_each(|tile| tile.draw(&mut canvas, [MARGIN, top + TITLE], kind, &shades));
     }
     (canvas.size, canvas.pixels)
 }
@@ -98,9 +98,8 @@ pub fn draw_map(
     let grid = Grid::of(set, tile_width);
     let size = ImageSize { height: grid.height(), width: grid.width() };
     let mut canvas = Canvas::new(size, BACKGROUND);
-    for (camera, corner) in set.cameras.iter().zip(&grid.corners) {
-        draw_tile(&mut canvas, *corner, &grid, camera, kind, bins);
-    }
+    let shades = Shades::of(bins);
+    grid.tiles(set).iter().for_each(|tile| tile.draw(&mut canvas, [0, 0], kind, &shades));
     (size, canvas.pixels)
 }
 
@@ -109,11 +108,11 @@ pub fn draw_map(
 pub fn places(set: &ConditionSet, tile_width: u32) -> (ImageSize, Vec<[u32; 4]>) {
     let grid = Grid::of(set, tile_width);
     let size = ImageSize { height: grid.height(), width: grid.width() };
-    let place = |(camera, corner): (&CameraConditions, &[u32; 2])| {
-        let (size, [left, top]) = (fitted(camera.size(), grid.tile.width), grid.centered(*corner, camera));
-        [left, top, size.width, size.height]
+    let place = |tile: &Tile<'_>| {
+        let ([left, top], ImageSize { height, width }) = (tile.centered(), tile.to);
+        [left, top, width, height]
     };
-    (size, set.cameras.iter().zip(&grid.corners).map(place).collect())
+    (size, grid.tiles(set).iter().map(place).collect())
 }
 
 /// Returns the maps of a set that can be displayed.
@@ -149,10 +148,13 @@ impl Grid {
         Self { tile, corners: places.into_iter().map(corner).collect(), rows, columns }
     }
 
-    /// Returns the upper left corner of a camera's image, centered in its tile.
-    fn centered(&self, [left, top]: [u32; 2], camera: &CameraConditions) -> [u32; 2] {
-        let size = fitted(camera.size(), self.tile.width);
-        [left + (self.tile.width - size.width) / 2, top + (self.tile.height - size.height) / 2]
+    /// Returns the tile of each camera.
+    fn tiles<'a>(&self, set: &'a ConditionSet) -> Vec<Tile<'a>> {
+        let tile = |(camera, corner): (&'a CameraConditions, &[u32; 2])| {
+            let to = fitted(camera.size(), self.tile.width);
+            Tile { camera, corner: *corner, size: self.tile, to, bins: OnceCell::new() }
+        };
+        set.cameras.iter().zip(&self.corners).map(tile).collect()
     }
 
     fn width(&self) -> u32 {
@@ -183,85 +185,120 @@ fn fitted(size: ImageSize, width: u32) -> ImageSize {
     ImageSize { height: height.max(1), width }
 }
 
-fn draw_tile(
-    canvas: &mut Canvas,
-    at: [u32; 2],
-    grid: &Grid,
-    camera: &CameraConditions,
-    kind: MapKind,
-    bins: &DepthBins,
-) {
-    canvas.map(at, grid.tile, |_, _| EMPTY);
-    let (from, to) = (camera.size(), fitted(camera.size(), grid.tile.width));
-    if let Some(pixels) = camera.pixels(kind) {
-        let picture = match pixels {
-            MapPixels::Rgb(map) => reduce::pil_bilinear(map, from, to),
-            MapPixels::Channels(tensor) => reduce::pil_bilinear(&tensor.preview(), from, to),
-            MapPixels::Depth(map) => by_depth(map, &bins.colors(), from, to, bins),
-            MapPixels::Class(map) => {
-                paint(over_depth(camera, to, bins), &reduce::nearest(map, from, to), class_color)
-            }
-            MapPixels::Number(map) => {
-                paint(over_depth(camera, to, bins), &reduce::nearest(map, from, to), number_color)
-            }
-        };
-        canvas.blit(grid.centered(at, camera), to, &picture);
-    }
-    let label = ImageSize { height: GLYPH + 6, width: text_width(&camera.name, 1) + 8 };
-    if label.width < grid.tile.width && label.height < grid.tile.height {
-        canvas.map(at, label, |under, _| under.map(|level| (u16::from(level) * 3 / 10) as u8));
-        canvas.text([at[0] + 4, at[1] + 3], 1, TEXT, &camera.name);
-    }
-}
-
-/// Colors a depth map, reduced by nearest sampling, with one color per bin.
-fn by_depth(
-    depth_m: &[f32],
-    colors: &[[u8; 3]],
-    from: ImageSize,
+/// Tile of a camera, the same in every block.
+struct Tile<'a> {
+    camera: &'a CameraConditions,
+    /// Upper left corner in the block, x and y.
+    corner: [u32; 2],
+    size: ImageSize,
+    /// Size of the image in it.
     to: ImageSize,
-    bins: &DepthBins,
-) -> Vec<[u8; 3]> {
-    let depth_m = reduce::nearest(depth_m, from, to);
-    depth_m.into_iter().map(|depth_m| colors[usize::from(bins.bin(depth_m))]).collect()
+    /// Depth bins of the image, which several maps show; 0 without a depth map.
+    bins: OnceCell<Vec<u16>>,
 }
 
-/// Returns the background of class and number maps: the depth in dark gray, if it was rendered.
-fn over_depth(camera: &CameraConditions, to: ImageSize, bins: &DepthBins) -> Vec<[u8; 3]> {
-    let gray = |depth_m: &Vec<f32>| by_depth(depth_m, &grays(bins), camera.size(), to, bins);
-    camera.depth_m.as_ref().map_or_else(|| vec![EMPTY; to.pixels()], gray)
+impl Tile<'_> {
+    /// Returns the upper left corner of the image in the block.
+    fn centered(&self) -> [u32; 2] {
+        let [left, top] = self.corner;
+        [left + (self.size.width - self.to.width) / 2, top + (self.size.height - self.to.height) / 2]
+    }
+
+    /// Draws a map into a block with a given upper left corner.
+    fn draw(&self, canvas: &mut Canvas, block: [u32; 2], kind: MapKind, shades: &Shades<'_>) {
+        let in_block = |[left, top]: [u32; 2]| [block[0] + left, block[1] + top];
+        let (at, picture) = (in_block(self.corner), self.picture(kind, shades));
+        if picture.is_none() || self.to != self.size {
+            canvas.fill(at, self.size, EMPTY);
+        }
+        if let Some(picture) = picture {
+            canvas.blit(in_block(self.centered()), self.to, &picture);
+        }
+        let name = &self.camera.name;
+        let label = ImageSize { height: GLYPH + 6, width: text_width(name, 1) + 8 };
+        if label.width < self.size.width && label.height < self.size.height {
+            canvas.map(at, label, |under, _| under.map(|level| (u16::from(level) * 3 / 10) as u8));
+            canvas.text([at[0] + 4, at[1] + 3], 1, TEXT, name);
+        }
+    }
+
+    /// Returns a map as RGB image; `None` if the camera has no such map.
+    fn picture(&self, kind: MapKind, shades: &Shades<'_>) -> Option<Cow<'_, [[u8; 3]]>> {
+        Some(match self.camera.pixels(kind)? {
+            MapPixels::Rgb(map) => self.resized(map, reduce::pil_bilinear),
+            MapPixels::Channels(tensor) => {
+                Cow::Owned(reduce::pil_bilinear(&tensor.preview(), self.camera.size(), self.to))
+            }
+            MapPixels::Depth(_) => {
+                let color = |bin: &u16| shades.colors[usize::from(*bin)];
+                Cow::Owned(self.bins(shades.bins).iter().map(color).collect())
+            }
+            MapPixels::Class(map) => Cow::Owned(self.painted(map, class_color, shades)),
+            MapPixels::Number(map) => Cow::Owned(self.painted(map, number_color, shades)),
+        })
+    }
+
+    /// Returns a map in the size of the image.
+    fn resized<'m, T: Clone>(
+        &self,
+        map: &'m [T],
+        resize: impl Fn(&[T], ImageSize, ImageSize) -> Vec<T>,
+    ) -> Cow<'m, [T]> {
+        let from = self.camera.size();
+        if from == self.to { Cow::Borrowed(map) } else { Cow::Owned(resize(map, from, self.to)) }
+    }
+
+    fn bins(&self, bins: &DepthBins) -> &[u16] {
+        self.bins.get_or_init(|| match &self.camera.depth_m {
+            Some(depth_m) => bins.bins(&self.resized(depth_m, reduce::nearest)),
+            None => vec![0; self.to.pixels()],
+        })
+    }
+
+    /// Returns the colors of the numbers other than 0 over the depth in dark gray.
+    fn painted<N: Copy + Default + PartialEq + Send + Sync>(
+        &self,
+        numbers: &[N],
+        color: impl Fn(N) -> [u8; 3],
+        shades: &Shades<'_>,
+    ) -> Vec<[u8; 3]> {
+        let (mut last, mut rgb) = (N::default(), EMPTY);
+        let mut pixel = |(bin, number): (&u16, &N)| {
+            if *number == N::default() {
+                return shades.grays[usize::from(*bin)];
+            }
+            if *number != last {
+                (last, rgb) = (*number, color(*number));
+            }
+            rgb
+        };
+        let numbers = self.resized(numbers, reduce::nearest);
+        self.bins(shades.bins).iter().zip(numbers.iter()).map(&mut pixel).collect()
+    }
+}
+
+/// Colors of the depth bins.
+struct Shades<'b> {
+    bins: &'b DepthBins,
+    colors: Vec<[u8; 3]>,
+    /// Dark gray, lighter where it is nearer.
+    grays: Vec<[u8; 3]>,
+}
+
+impl<'b> Shades<'b> {
+    fn of(bins: &'b DepthBins) -> Self {
+        let gray = |bin: u16| {
+            let near = 1.0 - f32::from(bin) / f32::from(bins.count);
+            [26.0, 28.0, 33.0].map(|base: f32| (base + 52.0 * near * near) as u8)
+        };
+        let grays = std::iter::once(EMPTY).chain((1..=bins.count).map(gray)).collect();
+        Self { bins, colors: bins.colors(), grays }
+    }
 }
 
 fn class_color(class: u8) -> [u8; 3] {
     let known = CLASSES.get(usize::from(class) - 1);
     known.map_or_else(|| number_color(class.into()), |(rgb, _)| *rgb)
-}
-
-/// Returns the dark gray of every depth bin, lighter where it is nearer.
-fn grays(bins: &DepthBins) -> Vec<[u8; 3]> {
-    let gray = |bin: u16| {
-        let near = 1.0 - f32::from(bin) / f32::from(bins.count);
-        [26.0, 28.0, 33.0].map(|base: f32| (base + 52.0 * near * near) as u8)
-    };
-    std::iter::once(EMPTY).chain((1..=bins.count).map(gray)).collect()
-}
-
-/// Colors the pixels whose number is not 0.
-fn paint<N: Copy + Default + PartialEq>(
-    mut picture: Vec<[u8; 3]>,
-    numbers: &[N],
-    color: impl Fn(N) -> [u8; 3],
-) -> Vec<[u8; 3]> {
-    let (mut last, mut rgb) = (N::default(), EMPTY);
-    for (pixel, &number) in picture.iter_mut().zip(numbers) {
-        if number != N::default() {
-            if number != last {
-                (last, rgb) = (number, color(number));
-            }
-            *pixel = rgb;
-        }
-    }
-    picture
 }
 
 /// Returns a bright color for a number. Hues are a golden angle apart, so consecutive numbers differ clearly.
@@ -362,6 +399,36 @@ mod tests {
             }
         }
         assert_eq!(kinds(&set).len(), 6);
+    }
+
+    #[test]
+    fn numbers_are_colored_over_the_depth() {
+        let (mut set, bins) = (test_set(), DepthBins::default());
+        let grays = Shades::of(&bins).grays;
+        for has_depth in [true, false] {
+            set.cameras[0].depth_m.take_if(|_| !has_depth);
+            let (size, picture) = draw_map(&set, MapKind::Class, TILE_WIDTH_PX, &bins);
+            let (camera, [left, top, width, _]) = (&set.cameras[0], places(&set, TILE_WIDTH_PX).1[0]);
+            for (pixel, &class) in (0..).zip(camera.class.iter().flatten()) {
+                let depth_m = camera.depth_m.as_ref().map(|depth_m| depth_m[pixel as usize]);
+                let ground = depth_m.map_or(EMPTY, |depth_m| grays[usize::from(bins.bin(depth_m))]);
+                let at = (top + pixel / width) * size.width + left + pixel % width;
+                let expected = if class == 0 { ground } else { class_color(class) };
+                assert_eq!(picture[at as usize], expected, "{pixel} {class}");
+            }
+        }
+    }
+
+    #[test]
+    fn smaller_images_are_centered_in_their_tiles() {
+        let mut set = test_set();
+        let small = &mut set.cameras[0];
+        (small.width, small.height, small.color) = (2, 2, Some(vec![[200; 3]; 4]));
+        let (size, picture) = draw_map(&set, MapKind::Color, TILE_WIDTH_PX, &DepthBins::default());
+        let tile = (0..4).flat_map(|y| picture[y * size.width as usize..][..6].to_vec());
+        let bright: Vec<usize> =
+            tile.enumerate().filter(|(_, rgb)| *rgb != EMPTY).map(|(at, _)| at).collect();
+        assert_eq!(bright, [8, 9, 14, 15]);
     }
 
     #[test]

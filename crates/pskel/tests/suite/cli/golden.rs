@@ -53,9 +53,9 @@ fn skeleton_maps_and_rollout_have_their_recorded_hashes() {
 
 const RECORDED: [(&str, u64); 6] = [
     ("skeleton", 0xfc7e_fc5c_e1db_5271),
-    ("png", 0x1bd8_fd24_95eb_a12f),
-    ("png --out-size 16x24", 0xa80b_89d1_5bde_3243),
-    ("npz", 0x5c52_50a7_4bff_f526),
-    ("npz --out-size 16x24", 0x71a9_8d8f_0b65_f3a3),
-    ("rollout", 0x5615_f098_aaf2_0efa),
+    ("png", 0x9cf6_9830_1bac_b841),
+    ("png --out-size 16x24", 0x6055_c180_e85b_4663),
+    ("npz", 0x1f26_2358_605c_6a3c),
+    ("npz --out-size 16x24", 0xb2d7_cebe_1b50_109d),
+    ("rollout", 0x2405_37f8_791a_9dbc),
 ];
