@@ -28,6 +28,8 @@ pub(super) struct Chunks<'a> {
     near: Vec<bool>,
     /// Number of rows from which on chunks are evicted.
     rows: usize,
+    /// Budget, bytes.
+    bytes: u64,
     /// Whether a frame that needs more rows is refused.
     is_limited: bool,
 }
@@ -37,9 +39,10 @@ impl<'a> Chunks<'a> {
     pub(super) fn new(clouds: CloudSet<'a>, memory_bytes: Option<u64>) -> Self {
         let clouds: Vec<PackedCloud> = clouds.into_iter().map(PackedCloud::new).collect();
         let residency = Residency::new(clouds.iter().map(|cloud| &cloud.chunked));
-        let rows = (memory_bytes.unwrap_or(DEFAULT_MEMORY_BYTES) / ROW_BYTES as u64) as usize;
+        let bytes = memory_bytes.unwrap_or(DEFAULT_MEMORY_BYTES);
+        let rows = (bytes / ROW_BYTES as u64) as usize;
         let (arena, taken, near) = (Arena::default(), Reservation::default(), vec![false; clouds.len()]);
-        Self { clouds, residency, arena, taken, near, rows, is_limited: memory_bytes.is_some() }
+        Self { clouds, residency, arena, taken, near, rows, bytes, is_limited: memory_bytes.is_some() }
     }
 
     /// Loads the chunks that a camera may see.
@@ -70,7 +73,7 @@ impl<'a> Chunks<'a> {
     /// Allocates rows for a frame that needs some number of chunks, of which some are missing.
     fn make_room(&mut self, needed: usize, missing: usize) -> Result<(), RasterError> {
         if self.is_limited && needed > self.rows {
-            let [needed_bytes, allowed_bytes] = [needed, self.rows].map(|rows| (rows * ROW_BYTES) as u64);
+            let (needed_bytes, allowed_bytes) = ((needed * ROW_BYTES) as u64, self.bytes);
             return Err(RasterError::PointBudget { needed_bytes, allowed_bytes, option: "--memory" });
         }
         // Rows are only evicted once the budget is used up.

@@ -127,14 +127,14 @@ fn a_location_is_written_once_and_driven_through() {
     assert!(number(&first, "/filled") > 100.0 && first["stages_ms"]["load"].is_number());
     let written = std::fs::metadata(log.path("streets/skeleton.json")).unwrap().modified().unwrap();
     // 101 frames, 1 m apart; the memory for points does not change them.
-    let whole = json(&log, &format!("{bench} --memory 2"));
+    let whole = json(&log, &format!("{bench} --memory 3"));
     assert_eq!(number(&whole, "/frames"), 101.0);
     let last = json(&log, &format!("{bench} --frames 100..101 --rasterizer auto"));
     assert_eq!(last["filled"], whole["filled"]);
     assert_ne!(last["filled"], first["filled"]);
     assert_eq!(std::fs::metadata(log.path("streets/skeleton.json")).unwrap().modified().unwrap(), written);
     for (args, words) in [
-        ("--memory 0", "the cameras of a frame may see points of 2 MiB, but 0 MiB are allowed (--memory)"),
+        ("--memory 0", "the cameras of a frame may see points of 3 MiB, but 0 MiB are allowed (--memory)"),
         ("--frames 7..102", "expected frames within 0..101, the drive through this location, found ..102"),
     ] {
         log.fail(&format!("{bench} {args}"), 1, &[words]);
@@ -175,7 +175,7 @@ fn full_steps_have_layouts_and_cover_the_same_pixels() {
     let stages =
         |found: &Value| -> Vec<String> { found["stages_ms"].as_object().unwrap().keys().cloned().collect() };
     let bare = json(&log, bench);
-    assert_eq!(stages(&bare), ["clear", "plan", "project", "resolve"]);
+    assert_eq!(stages(&bare), ["clear", "load", "plan", "project", "resolve"]);
     for in_flight in ["1", "2"] {
         let whole = format!("{bench} --maps depth,instance,boxes,tensor --in-flight {in_flight}");
         let found = json(&log, &whole);

@@ -56,7 +56,7 @@ fn builds_are_identical_for_any_number_of_threads() {
         assert!(log.run_with("build nuscenes:log --out out/again", threads).status.success());
         assert!(first == tree(&log.path("out/again")), "{threads} threads");
     }
-    assert_eq!(first.len(), 4);
+    assert_eq!(first.len(), 7);
 }
 
 #[test]

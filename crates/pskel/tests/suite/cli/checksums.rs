@@ -44,10 +44,11 @@ fn changed_bytes_are_detected_before_points_are_used() {
     ] {
         let path = format!("sk/{file}");
         let whole = flip_bit(&log, &path, 5);
-        let expected = format!("expected {name} with checksum {}, found ", checksum(list));
+        let expected = format!("expected page 0 of {name} with checksum ");
+        let whole_cloud = format!("expected {name} with checksum {}, found ", checksum(list));
+        log.fail("convert sk --out out/npy", 1, &[&whole_cloud, &path]);
         for command in [
             RENDER,
-            "convert sk --out out/npy",
             "bench nuscenes:log --skeleton sk --rasterizer cpu --repeat 1",
             "simulate nuscenes:log --skeleton sk --rasterizer cpu --steps 1 --out out",
         ] {
@@ -88,7 +89,7 @@ fn every_damaged_cloud_is_listed() {
     assert_failed(&output, 1, &[&found]);
     let text = String::from_utf8(output.stdout).unwrap();
     for part in
-        ["2 damaged", &format!("expected chunk {} with", clouds[0] - 1), "expected template sedan with"]
+        ["2 damaged", &format!(" of chunk {} with", clouds[0] - 1), "expected page 0 of template sedan with"]
     {
         assert!(text.contains(part), "{text}\nexpected {part}");
     }

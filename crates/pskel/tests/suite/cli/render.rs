@@ -248,9 +248,9 @@ fn damaged_skeletons_are_errors_that_leave_nothing() {
     let good = std::fs::read_to_string(&path).unwrap();
     for (from, to, parts) in [
         (
-            "\"version\": 3",
+            "\"version\": 4",
             "\"version\": 7",
-            ["version 3, found format \"point-skeleton\" version 7", "skeleton.json"],
+            ["version 4, found format \"point-skeleton\" version 7", "skeleton.json"],
         ),
         ("\"log\": \"tiny\"", "\"log\": \"other\"", ["a skeleton of log tiny, found one of log other", "sk"]),
         ("\"report\"", "\"rapport\"", ["a skeleton manifest, found no field report", "skeleton.json"]),
