@@ -125,15 +125,17 @@ impl Store {
 }
 
 /// Returns the number of chunks whose positions, and of those whose colors, fit into the budget. Positions can be
-/// streamed within a frame, colors cannot: half of the budget is for as many of them as there are, four times as
-/// many as positions.
+/// streamed within a frame, colors cannot: they take half of the budget, which is four times as many as positions, or
+/// up to three quarters if all of them fit then.
 fn rows_within(device: &Device, chunks: u64, limits: StoreLimits) -> Result<[u64; 2], GpuError> {
     let Some(bytes) = limits.bytes.filter(|b| *b < chunks * (ROW_BYTES + COLOR_ROW_BYTES)) else {
         return Ok([chunks; 2]);
     };
-    let colors = chunks.min(bytes / 2 / COLOR_ROW_BYTES);
-    let positions = (bytes - colors * COLOR_ROW_BYTES) / ROW_BYTES;
     let least = chunks.min(2 * u64::from(limits.streamed_rows));
+    let positions_beside = |colors: u64| bytes.saturating_sub(colors * COLOR_ROW_BYTES) / ROW_BYTES;
+    let fit = chunks * COLOR_ROW_BYTES <= bytes / 4 * 3 && positions_beside(chunks) >= least;
+    let colors = if fit { chunks } else { chunks.min(bytes / 2 / COLOR_ROW_BYTES) };
+    let positions = positions_beside(colors);
     if positions < least {
         let needed = (2 * least * ROW_BYTES).min(chunks * COLOR_ROW_BYTES + least * ROW_BYTES);
         let expected = format!("at least {} MiB for points", needed.div_ceil(1 << 20));
@@ -221,6 +223,8 @@ mod tests {
         // Half of 100 rows of positions are 200 rows of colors.
         assert_eq!(rows(1000, Some(100 * ROW_BYTES)).unwrap(), [50, 200]);
         assert_eq!(rows(120, Some(100 * ROW_BYTES)).unwrap(), [70, 120]);
+        assert_eq!(rows(300, Some(100 * ROW_BYTES)).unwrap(), [25, 300]);
+        assert_eq!(rows(301, Some(100 * ROW_BYTES)).unwrap(), [50, 200]);
         assert_eq!(rows(1000, Some(8 * ROW_BYTES)).unwrap(), [4, 16]);
         let message = rows(1000, Some(7 * ROW_BYTES)).unwrap_err().to_string();
         assert!(
