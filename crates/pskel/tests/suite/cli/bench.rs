@@ -129,7 +129,8 @@ fn a_location_is_written_once_and_driven_through() {
     // 101 frames, 1 m apart; the memory for points does not change them.
     let whole = json(&log, &format!("{bench} --memory 3"));
     assert_eq!(number(&whole, "/frames"), 101.0);
-    let last = json(&log, &format!("{bench} --frames 100..101 --rasterizer auto"));
+    let auto = bench.replace("cpu", "auto");
+    let last = json(&log, &format!("{auto} --frames 100..101"));
     assert_eq!(last["filled"], whole["filled"]);
     assert_ne!(last["filled"], first["filled"]);
     assert_eq!(std::fs::metadata(log.path("streets/skeleton.json")).unwrap().modified().unwrap(), written);
@@ -181,7 +182,7 @@ fn full_steps_have_layouts_and_cover_the_same_pixels() {
         let found = json(&log, &whole);
         assert_eq!(
             stages(&found),
-            ["clear", "convert", "instances", "layouts", "plan", "project", "resolve"]
+            ["clear", "convert", "instances", "layouts", "load", "plan", "project", "resolve"]
         );
         for key in ["filled", "frames", "points", "size", "out_size"] {
             assert_eq!(found[key], bare[key], "{key}");

@@ -50,7 +50,7 @@ fn changed_bytes_are_detected_before_points_are_used() {
         for command in [
             RENDER,
             "bench nuscenes:log --skeleton sk --rasterizer cpu --repeat 1",
-            "simulate nuscenes:log --skeleton sk --rasterizer cpu --steps 1 --out out",
+            "simulate nuscenes:log --skeleton sk --rasterizer cpu --steps 1 --out rollout",
         ] {
             log.fail(command, 1, &[&expected, &path]);
         }
