@@ -2,14 +2,20 @@
 """Compares the frame times of pskel with other programs that render the same points into the same cameras.
 
 The peers' folder contains `street.py` (OUT_DIR N, writes points.npy and cameras.json), `native/` (a Cargo package;
-POINTS CAMERAS REPEAT, prints JSON with reduced_ms, full_ms and filled) and `numpy_splat.py` (POINTS CAMERAS, prints JSON
-with seconds and filled). It may be read-only: `native` is built in a copy.
+POINTS CAMERAS REPEAT, prints JSON with reduced_ms, full_ms and filled), `numpy_splat.py` (POINTS CAMERAS, prints JSON
+with seconds and filled) and `torch_splat.py` (POINTS CAMERAS DEVICE REPEAT, prints JSON with device_ms, host_ms, filled and
+device). It may be read-only: `native` is built in a copy.
+
+Python programs run in the Python that runs this script. `--torch` needs PyTorch there, and runs on a GPU if PyTorch finds
+one, with pskel by `--rasterizer compute`. Otherwise both run on the processor. `torch_splat.py` makes color, depth and class:
+once they stay on its device, once they are copied to host memory (on the processor the same), where pskel's maps always end.
 
 All programs run alternately in rounds, so that changes of the machine's speed affect all of them. Each run reports its
 median; the Markdown tables on stdout contain medians over the rounds and ratios of those medians, with the minimum
 and maximum over the rounds. Fails if a program fails or fills different pixels.
 
-    ci/compare_peers.py --peers DIR --points 4e6 --rounds 5 --work DIR [--graphics] [--numpy]
+    ci/compare_peers.py --peers DIR --points 4e6 --rounds 5 --work DIR [--graphics] [--numpy] [--torch] [--no-native]
+    ci/compare_peers.py --peers DIR --points 4e6,40e6,100e6 --maps color,depth,class --torch --no-native
 """
 
 import argparse
@@ -26,7 +32,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parent.parent
 OUT_SIZE = "256x448"
 # Number of threads of all programs, unless set in the environment.
-THREADS = {"RAYON_NUM_THREADS": "2", "LP_NUM_THREADS": "2"}
+THREADS = {"RAYON_NUM_THREADS": "2", "LP_NUM_THREADS": "2", "OMP_NUM_THREADS": "2"}
 # Programs round divisions differently, so a few points fall into a neighboring pixel.
 FILLED_TOLERANCE = 1e-3
 # Warm-up frames of pskel.
@@ -80,6 +86,7 @@ class Results:
     def __init__(self):
         self.series = {}
         self.pskel = {}
+        self.torch = None
 
     def add(self, program, size, ms, filled):
         series = self.series.setdefault((program, size), Series())
@@ -139,25 +146,65 @@ def make_street(peers, work, points):
     return files
 
 
+@dataclass
+class Torch:
+    """The PyTorch of this Python: its version, and the device that it runs on ("cuda" or "cpu")."""
+
+    version: str
+    device: str
+
+
+def find_torch():
+    try:
+        import torch
+    except ImportError as error:
+        raise Failure(f"expected PyTorch (pip install torch), found {error}: {sys.executable}") from error
+    found = Torch(torch.__version__, "cuda" if torch.cuda.is_available() else "cpu")
+    if found.device == "cpu":
+        say(f"PyTorch {found.version} finds no GPU: torch runs on the processor")
+    return found
+
+
 class Bench:
     """Runs the programs and collects their results."""
 
-    def __init__(self, args, native, street):
-        self.args, self.native = args, native
+    def __init__(self, args, native, torch, street):
+        self.args, self.native, self.torch = args, native, torch
         self.points, self.cameras = street
+        self.few = max(1, args.repeat // SLOW_PART)
         self.results = Results()
 
     def round(self):
-        repeat = self.args.repeat
-        peer = run_json([self.native, self.points, self.cameras, repeat])
+        if self.native:
+            self.run_native()
+        self.pskel("pskel", self.rasterizer(), self.args.repeat, WARM_UP)
+        if self.args.graphics:
+            self.pskel("pskel graphics", "graphics", self.few, 1)
+        if self.args.numpy:
+            peer = self.run_python("numpy_splat.py")
+            self.results.add("numpy", "full", 1e3 * peer["seconds"], peer.get("filled"))
+        if self.torch:
+            self.run_torch()
+
+    def rasterizer(self):
+        """What pskel draws by: unless chosen, it runs where torch does."""
+        usual = {"cuda": "compute", "cpu": "cpu"}[self.torch.device] if self.torch else "auto"
+        return self.args.rasterizer or usual
+
+    def run_native(self):
+        peer = run_json([self.native, self.points, self.cameras, self.args.repeat])
         self.results.add("native", "reduced", peer["reduced_ms"], None)
         self.results.add("native", "full", peer["full_ms"], peer.get("filled"))
-        self.pskel("pskel", self.args.rasterizer, repeat, WARM_UP)
-        if self.args.graphics:
-            self.pskel("pskel graphics", "graphics", max(1, repeat // SLOW_PART), 1)
-        if self.args.numpy:
-            peer = run_json([sys.executable, self.args.peers / "numpy_splat.py", self.points, self.cameras])
-            self.results.add("numpy", "full", 1e3 * peer["seconds"], peer.get("filled"))
+
+    def run_python(self, name, *extra):
+        return run_json([sys.executable, self.args.peers / name, self.points, self.cameras, *extra])
+
+    def run_torch(self):
+        frames = self.few if self.torch.device == "cpu" else self.args.repeat
+        peer = self.run_python("torch_splat.py", self.torch.device, frames)
+        self.results.add("torch, maps on its device", "full", peer["device_ms"], peer["filled"])
+        self.results.add("torch, maps in host memory", "full", peer["host_ms"], peer["filled"])
+        self.results.torch = f"PyTorch {self.torch.version} on {peer['device']}, medians of {frames} frames"
 
     def pskel(self, program, rasterizer, repeat, warm_up):
         command = [self.args.pskel, "bench", "--points", self.points, "--cameras", self.cameras, "--json"]
@@ -196,30 +243,41 @@ def heading(args, results):
     pskel = results.pskel["pskel"]
     threads = ", ".join(f"{name}={os.environ[name]}" for name in THREADS)
     yield f"{pskel['points']} points, {pskel['cameras']} cameras of {pskel['size']}, reduced to {OUT_SIZE} or full;"
-    yield f"{args.rounds} rounds, medians of {args.repeat} frames each; {threads}."
+    yield f"{args.rounds} rounds, medians of {args.repeat} frames each; {threads}; pskel makes {args.maps}."
     for program, found in results.pskel.items():
         yield f"`{program}`: rasterizer {found['rasterizer']} on {found['device']}, driver {found['driver']}."
+    if results.torch:
+        yield f"`torch`: {results.torch}."
 
 
 def check_peers(args):
     """Checks that all programs exist."""
-    needed = ["street.py"] + ["numpy_splat.py"] * args.numpy + ["native/Cargo.toml"] * (args.native_bin is None)
+    needed = ["street.py"] + ["numpy_splat.py"] * args.numpy + ["torch_splat.py"] * args.torch
+    needed += ["native/Cargo.toml"] * (args.native and args.native_bin is None)
     missing = [name for name in needed if not (args.peers / name).is_file()]
     if missing:
         raise Failure(f"expected {', '.join(needed)}, found no {', '.join(missing)}: {args.peers}")
 
 
 def compare(args, work):
-    """Builds the programs, creates the data, runs the rounds and prints the tables."""
+    """Builds the programs and compares them at each number of points."""
     check_peers(args)
-    native = args.native_bin or build_native(args.peers, work)
-    bench = Bench(args, native, make_street(args.peers, work, args.points))
+    torch = find_torch() if args.torch else None
+    native = (args.native_bin or build_native(args.peers, work)) if args.native else None
+    for number, points in enumerate(args.points):
+        if number > 0:
+            print()
+        compare_street(args, Bench(args, native, torch, make_street(args.peers, work, points)))
+
+
+def compare_street(args, bench):
+    """Runs the rounds on one street and prints the tables."""
     for number in range(args.rounds):
         say(f"round {number + 1} of {args.rounds}")
         bench.round()
     results = bench.results
     parts = heading(args, results), times_table(results), ratios_table(results)
-    print("\n\n".join("\n".join(part) for part in parts))
+    print("\n\n".join("\n".join(part) for part in parts), flush=True)
     results.check_filled()
 
 
@@ -234,6 +292,13 @@ def count(least):
     return parse
 
 
+def points_list(text):
+    return [count(1)(part) for part in text.split(",")]
+
+
+points_list.__name__ = "list of numbers of 1 or more"
+
+
 def file(text):
     path = Path(text).resolve()
     if not path.exists():
@@ -244,18 +309,23 @@ def file(text):
 def parse_args():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--peers", type=file, required=True, help="folder of the other programs")
-    parser.add_argument("--points", type=count(1), default=4_000_000, help="of the street, like 4e6 (default)")
+    parser.add_argument("--points", type=points_list, default=[4_000_000],
+                        help="of the street, like 4e6 (default), or of several ones, like 4e6,40e6")
     parser.add_argument("--rounds", type=count(1), default=5, help="default 5")
     parser.add_argument("--repeat", type=count(1), default=20, help="timed frames a run (default 20)")
     parser.add_argument("--work", type=Path, help="folder for the street and the build (default: a temporary one)")
     parser.add_argument("--pskel", type=Path, default=ROOT / "target/release/pskel",
                         help="default: target/release/pskel of this checkout")
-    parser.add_argument("--rasterizer", default="auto", help="what pskel draws by (default: auto)")
+    parser.add_argument("--rasterizer",
+                        help="what pskel draws by (default: auto; with --torch compute on a GPU, otherwise cpu)")
     maps = "color,depth,class,point"
     parser.add_argument("--maps", default=maps, help=f"of pskel (default: {maps}, those that native makes)")
     parser.add_argument("--graphics", action="store_true", help="also pskel by --rasterizer graphics, on fewer frames")
     parser.add_argument("--numpy", action="store_true", help="also numpy_splat.py, one frame a round")
-    parser.add_argument("--native-bin", type=file, help="binary of the native peer, instead of building it")
+    parser.add_argument("--torch", action="store_true", help="also torch_splat.py, on the processor on fewer frames")
+    native = parser.add_mutually_exclusive_group()
+    native.add_argument("--native-bin", type=file, help="binary of the native peer, instead of building it")
+    native.add_argument("--no-native", dest="native", action="store_false", help="leave out the native peer")
     args = parser.parse_args()
     args.pskel = args.pskel.resolve()
     if not args.pskel.is_file():
