@@ -135,7 +135,7 @@ fn a_location_is_written_once_and_driven_through() {
     assert_ne!(last["filled"], first["filled"]);
     assert_eq!(std::fs::metadata(log.path("streets/skeleton.json")).unwrap().modified().unwrap(), written);
     for (args, words) in [
-        ("--memory 0", "the cameras of a frame may see points of 3 MiB, but 0 MiB are allowed (--memory)"),
+        ("--memory 0", "the cameras of a frame may see points of 2 MiB, but 0 MiB are allowed (--memory)"),
         ("--frames 7..102", "expected frames within 0..101, the drive through this location, found ..102"),
     ] {
         log.fail(&format!("{bench} {args}"), 1, &[words]);
