@@ -30,7 +30,7 @@ pub struct GraphicsRasterizerDesc {
     /// Maximum number of points per buffer; at least 4096.
     pub page_points: Option<u32>,
     /// Memory budget for points on the device, bytes (16 per point). `None` for no limit, and for
-    /// [`DEFAULT_MEMORY_BYTES`] on a device that is the host's processor.
+    /// [`DEFAULT_MEMORY_BYTES`](super::DEFAULT_MEMORY_BYTES) on a device that is the host's processor.
     pub memory_bytes: Option<u64>,
     /// Maximum side length of a tile, pixels.
     pub tile_side: Option<u32>,
