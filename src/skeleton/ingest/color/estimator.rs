@@ -127,10 +127,8 @@ fn square_mean<const SIDE: usize, const LANES: usize>(
     for (line, found) in rows.iter_mut().enumerate() {
         *found = levels.get(first + line * row..)?.first_chunk()?;
     }
-    let mut sums = [0_u16; LANES];
-    for row in rows {
-        sums.iter_mut().zip(row).for_each(|(sum, level)| *sum += u16::from(*level));
-    }
+    // Column by column: row by row, the compiler keeps the sums in memory and takes twice the time.
+    let sums: [u16; LANES] = std::array::from_fn(|i| rows.iter().map(|row| u16::from(row[i])).sum());
     Some(mean_of_columns::<SIDE>(&sums))
 }
 
