@@ -45,7 +45,7 @@ pub mod tiles;
 
 pub(crate) use budget::{frame_bytes, need_of_views};
 pub use compute::{ComputeRasterizer, ComputeRasterizerDesc};
-pub use cpu::{CpuRasterizer, CpuRasterizerDesc, DEFAULT_MEMORY_BYTES};
+pub use cpu::{CpuRasterizer, CpuRasterizerDesc};
 pub use draw::{Crop, Draw, Instance, SplatJob, draws_from_job};
 pub use frame::{FrameJob, FrameMaps, Occlusion, ViewMaps, class_of, rgb_of};
 pub use graphics::{GraphicsRasterizer, GraphicsRasterizerDesc};
@@ -56,6 +56,7 @@ pub use maps::map_set::{MapDescription, MapKind, MapSet, PixelType};
 pub use maps::plane::Plane;
 pub use maps::reduce;
 pub use maps::{Segment, SplatMaps, StageTimes};
+pub use residency::DEFAULT_MEMORY_BYTES;
 pub(crate) use schedule::DEFAULT_STEPS;
 pub use schedule::{ScheduleError, SplatSchedule, SplatStep};
 

@@ -2,6 +2,9 @@
 
 use super::chunk::ChunkedCloud;
 
+/// Memory that points may take by default, on a device whose memory is the host's, bytes.
+pub const DEFAULT_MEMORY_BYTES: u64 = 2 << 30;
+
 /// Row of a chunk that is not loaded, and chunk of an empty row.
 const NONE: u32 = u32::MAX;
 

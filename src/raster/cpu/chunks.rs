@@ -2,13 +2,12 @@
 
 use glam::DVec3;
 
-use super::DEFAULT_MEMORY_BYTES;
 use super::arena::{Arena, Load, PackedBlock, ROW_BYTES, SEGMENT_ROWS};
 use super::packed::PackedCloud;
 use crate::cloud::Cloud;
 use crate::memory::{Need, Reservation};
 use crate::raster::chunk::{CHUNK, CULL_BLOCK};
-use crate::raster::residency::Residency;
+use crate::raster::residency::{DEFAULT_MEMORY_BYTES, Residency};
 use crate::raster::sight::{SeenInstance, seen_chunks};
 use crate::raster::{CloudSet, FrameJob, Instance, RasterError};
 

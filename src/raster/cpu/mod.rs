@@ -57,13 +57,10 @@ use crate::geometry::ImageSize;
 pub struct CpuRasterizerDesc {
     /// Whether groups of points are skipped that what is already drawn hides.
     pub occlusion_culling: bool,
-    /// Memory budget for points, bytes (17 per point). `None` for [`DEFAULT_MEMORY_BYTES`], or what a single frame
+    /// Memory budget for points, bytes (17 per point). `None` for [`DEFAULT_MEMORY_BYTES`](super::DEFAULT_MEMORY_BYTES), or what a single frame
     /// needs if that is more.
     pub memory_bytes: Option<u64>,
 }
-
-/// Memory that points may take by default, bytes.
-pub const DEFAULT_MEMORY_BYTES: u64 = 2 << 30;
 
 impl Default for CpuRasterizerDesc {
     fn default() -> Self {
