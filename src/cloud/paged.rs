@@ -18,8 +18,8 @@ use rustix::fs::{Advice, fadvise};
 
 use super::{Bounds, Point};
 use crate::error::FileError;
-use crate::files::Checksum;
 use crate::files::input::{open_regular, read_table};
+use crate::files::{Checksum, Hasher};
 
 /// Points of a page.
 pub const PAGE: usize = 4096;
@@ -63,6 +63,34 @@ pub struct PagedWriter {
     points: BufWriter<File>,
     table_path: PathBuf,
     table: Vec<Page>,
+    /// Content of the last cloud so far.
+    cloud: CloudSummary,
+    /// Points of its last page, if it is not complete.
+    rest: Vec<Point>,
+}
+
+/// Number, bounds and checksum of a cloud's points.
+#[derive(Clone, Debug, Default)]
+pub struct CloudSummary {
+    /// Number of points.
+    pub points: usize,
+    /// Bounds of the finite points, meters; `None` without any.
+    pub bounds: Option<Bounds>,
+    hasher: Hasher,
+}
+
+impl CloudSummary {
+    fn add(&mut self, points: &[Point]) {
+        self.points += points.len();
+        let bounds = Bounds::of_finite(points);
+        self.bounds = self.bounds.map_or(bounds, |old| Some(bounds.map_or(old, |new| old.and(new))));
+        self.hasher.add(points);
+    }
+
+    /// Returns the checksum of the points.
+    pub fn xxh3(&self) -> Checksum {
+        self.hasher.checksum()
+    }
 }
 
 impl PagedWriter {
@@ -73,7 +101,8 @@ impl PagedWriter {
     pub fn create(path: &Path, table: &Path) -> Result<Self, FileError> {
         let file = File::create(path).map_err(FileError::io("create", path))?;
         let points = BufWriter::with_capacity(1 << 20, file);
-        Ok(Self { path: path.to_owned(), points, table_path: table.to_owned(), table: Vec::new() })
+        let (table_path, table, cloud, rest) = (table.to_owned(), Vec::new(), Default::default(), Vec::new());
+        Ok(Self { path: path.to_owned(), points, table_path, table, cloud, rest })
     }
 
     /// Returns the part of the table for a cloud.
@@ -87,13 +116,41 @@ impl PagedWriter {
         &self.path
     }
 
-    /// Appends a cloud.
+    /// Appends points to the last cloud, which [`PagedWriter::end`] ends.
     ///
     /// # Errors
     /// Fails if the file cannot be written.
-    pub fn add(&mut self, points: &[Point]) -> Result<(), FileError> {
-        self.table.par_extend(points.par_chunks(PAGE).map(Page::of));
+    pub fn append(&mut self, points: &[Point]) -> Result<(), FileError> {
+        self.cloud.add(points);
+        let missing = if self.rest.is_empty() { 0 } else { PAGE - self.rest.len() };
+        let (first, others) = points.split_at(missing.min(points.len()));
+        self.rest.extend(first);
+        if self.rest.len() == PAGE {
+            self.table.push(Page::of(&self.rest));
+            self.rest.clear();
+        }
+        let (pages, rest) = others.split_at(others.len() / PAGE * PAGE);
+        self.table.par_extend(pages.par_chunks(PAGE).map(Page::of));
+        self.rest.extend(rest);
         self.points.write_all(bytemuck::cast_slice(points)).map_err(FileError::io("write", &self.path))
+    }
+
+    /// Ends a cloud; returns a summary of its points.
+    pub fn end(&mut self) -> CloudSummary {
+        if !self.rest.is_empty() {
+            self.table.push(Page::of(&self.rest));
+            self.rest.clear();
+        }
+        std::mem::take(&mut self.cloud)
+    }
+
+    /// Appends a whole cloud.
+    ///
+    /// # Errors
+    /// Fails if the file cannot be written.
+    pub fn add(&mut self, points: &[Point]) -> Result<CloudSummary, FileError> {
+        self.append(points)?;
+        Ok(self.end())
     }
 
     /// Writes all points that are still in memory.
@@ -273,7 +330,7 @@ mod tests {
 
     fn write(folder: &Path, clouds: &[Vec<Point>]) -> Checksum {
         let mut writer = PagedWriter::create(&folder.join("p"), &folder.join("t")).unwrap();
-        clouds.iter().for_each(|cloud| writer.add(cloud).unwrap());
+        clouds.iter().for_each(|cloud| drop(writer.add(cloud).unwrap()));
         writer.finish().unwrap()
     }
 
@@ -303,6 +360,25 @@ mod tests {
         let mut both = vec![Point::default(); PAGE + 1500];
         stored[2].read(1, &mut both).unwrap();
         assert_eq!(both, clouds[2][PAGE..]);
+    }
+
+    /// The same bytes result from a cloud in parts of any size.
+    #[test]
+    fn clouds_are_written_in_parts() {
+        let clouds = [cloud(3 * PAGE + 700, 0.0), cloud(2 * PAGE, 7.0), cloud(5, 1.0)];
+        let folders = [(); 2].map(|()| tempfile::tempdir().unwrap());
+        let whole = write(folders[0].path(), &clouds);
+        let [points, table] = ["p", "t"].map(|name| folders[1].path().join(name));
+        let mut writer = PagedWriter::create(&points, &table).unwrap();
+        for (cloud, size) in clouds.iter().zip([1500, PAGE, 3]) {
+            cloud.chunks(size).for_each(|part| writer.append(part).unwrap());
+            let summary = writer.end();
+            assert_eq!((summary.points, summary.bounds), (cloud.len(), Bounds::of(cloud)));
+            assert_eq!(summary.xxh3(), Checksum::of(cloud));
+        }
+        assert_eq!(writer.finish().unwrap(), whole);
+        let [bytes, parts] = folders.each_ref().map(|folder| std::fs::read(folder.path().join("p")).unwrap());
+        assert!(bytes == parts);
     }
 
     #[test]

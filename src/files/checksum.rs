@@ -1,4 +1,5 @@
 use std::fmt;
+use std::hash::Hasher as _;
 use std::path::Path;
 use std::str::FromStr;
 
@@ -34,6 +35,26 @@ impl Checksum {
             return Ok(());
         }
         Err(FileError::content(format!("{} with checksum {self}", name()), found.to_string(), path))
+    }
+}
+
+/// A checksum of values that are passed part by part.
+#[derive(Clone, Default)]
+pub(crate) struct Hasher(XxHash3_64);
+
+impl Hasher {
+    pub(crate) fn add<T: NoUninit>(&mut self, values: &[T]) {
+        self.0.write(bytemuck::cast_slice(values));
+    }
+
+    pub(crate) fn checksum(&self) -> Checksum {
+        Checksum(self.0.finish())
+    }
+}
+
+impl fmt::Debug for Hasher {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_tuple("Hasher").field(&self.checksum()).finish()
     }
 }
 

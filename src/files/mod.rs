@@ -13,11 +13,13 @@ pub(crate) mod sniff;
 pub mod text;
 
 pub use checksum::Checksum;
+pub(crate) use checksum::Hasher;
 pub use inputs::Inputs;
 pub use lock::lacks_locks;
 pub(crate) use name::first_twice;
 pub use name::{FileName, NameError};
 pub use output::manifest::{FILES as LISTED_FILES, is_below};
+pub(crate) use output::mounts::free_bytes;
 pub use output::output_file::{FileKind, OutputFile};
 pub use output::pending::remove_pending;
 pub use output::shared_folder::SharedFolder;

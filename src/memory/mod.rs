@@ -107,7 +107,7 @@ impl Drop for Reservation {
 }
 
 /// Number of bytes as text, in the largest fitting binary unit.
-struct Bytes(u64);
+pub struct Bytes(pub u64);
 
 impl fmt::Display for Bytes {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {

@@ -22,7 +22,9 @@ pub use augment::{AugmentOptions, Augmentation, augment};
 pub use from_points::{AssetPoints, GlobalPoint};
 pub use ingest::projector::Projector;
 pub use ingest::split::{Part, SplitOptions, Splitter};
-pub use ingest::{BuildError, BuildInput, BuildRun, Progress, build, open_or_build, unfinished_frames};
+pub use ingest::{
+    BuildError, BuildInput, BuildNeeds, BuildRun, Progress, build, open_or_build, unfinished_frames,
+};
 pub use manifest::{Asset, BuildReport, CategoryCounts, Chunk, Manifest, PageChecksums, Source, Template};
 pub use options::{BuildOptions, Coloring};
 pub use store::{GenerateTemplates, Skeleton, SkeletonWriter};

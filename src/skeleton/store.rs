@@ -12,8 +12,8 @@ use rayon::prelude::*;
 use super::BuildOptions;
 use super::entry::Entry;
 use super::manifest::{Asset, BuildReport, Chunk, Manifest, PageChecksums, Source, Template};
-use crate::cloud::paged::{PagedFile, PagedWriter, StoredCloud};
-use crate::cloud::{Cloud, Point};
+use crate::cloud::paged::{CloudSummary, PagedFile, PagedWriter, StoredCloud};
+use crate::cloud::{Bounds, Cloud, Point};
 use crate::dataset::{Recording, is_fingerprint};
 use crate::error::FileError;
 use crate::files::input::{is_taken, read_table};
@@ -97,7 +97,7 @@ impl SkeletonWriter {
     /// Fails if the file cannot be written.
     pub fn chunk(&mut self, chunk: Chunk, points: &[Point]) -> Result<(), FileError> {
         self.manifest.background.push(chunk);
-        self.background.add(points)
+        self.background.add(points).map(drop)
     }
 
     /// Adds the asset of a track.
@@ -106,7 +106,32 @@ impl SkeletonWriter {
     /// Fails if the file cannot be written.
     pub fn actor(&mut self, asset: Asset, points: &[Point]) -> Result<(), FileError> {
         self.manifest.actors.push(asset);
-        self.actors.add(points)
+        self.actors.add(points).map(drop)
+    }
+
+    /// Adds points to the next chunk, which [`SkeletonWriter::end_chunk`] adds.
+    pub(super) fn chunk_points(&mut self, points: &[Point]) -> Result<(), FileError> {
+        self.background.append(points)
+    }
+
+    /// Adds a chunk of the background with the points passed since the last one.
+    pub(super) fn end_chunk(&mut self, origin: [f64; 3]) {
+        let cloud = self.background.end();
+        let Some(bounds) = cloud.bounds else { return };
+        self.manifest.background.push(Chunk { origin, points: cloud.points, bounds, xxh3: cloud.xxh3() });
+    }
+
+    /// Adds points to the next asset, which [`SkeletonWriter::end_actor`] adds.
+    pub(super) fn actor_points(&mut self, points: &[Point]) -> Result<(), FileError> {
+        self.actors.append(points)
+    }
+
+    /// Adds the asset of a track with the points passed since the last one; `asset` gets their number, bounds
+    /// and checksum.
+    pub(super) fn end_actor(&mut self, asset: impl FnOnce(&CloudSummary, Bounds) -> Asset) {
+        let cloud = self.actors.end();
+        let Some(bounds) = cloud.bounds else { return };
+        self.manifest.actors.push(asset(&cloud, bounds));
     }
 
     /// Adds a template.
@@ -115,7 +140,7 @@ impl SkeletonWriter {
     /// Fails if the file cannot be written.
     pub fn template(&mut self, template: Template, points: &[Point]) -> Result<(), FileError> {
         self.manifest.templates.push(template);
-        self.templates.add(points)
+        self.templates.add(points).map(drop)
     }
 
     /// Generates templates from the assets written so far and adds them.

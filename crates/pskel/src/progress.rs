@@ -3,7 +3,8 @@ use std::sync::Mutex;
 use std::time::{Duration, Instant};
 
 use indicatif::{HumanDuration, ProgressBar, ProgressStyle};
-use point_skeleton::skeleton;
+use point_skeleton::memory::Bytes;
+use point_skeleton::skeleton::{self, BuildNeeds};
 
 use super::{print_progress, warn};
 
@@ -99,7 +100,38 @@ impl StageProgress {
     }
 }
 
+/// Describes what a build needs; the second sentence warns if there is less.
+fn describe(needs: &BuildNeeds) -> (String, Option<String>) {
+    let BuildNeeds { sweeps, points, disk_bytes, free_bytes, memory_bytes, .. } = *needs;
+    let available = needs.available.bytes;
+    let free = free_bytes.map_or_else(|| "unknown".to_owned(), |free| Bytes(free).to_string());
+    let text = format!(
+        "about {:.1} million points in {sweeps} sweeps: at most {} of disk while building ({free} free), {} at the \
+         end; about {} of memory ({} available)",
+        points as f64 / 1e6,
+        Bytes(disk_bytes),
+        Bytes(needs.skeleton_bytes),
+        Bytes(memory_bytes),
+        Bytes(available)
+    );
+    let lacks_disk = free_bytes.is_some_and(|free| free < disk_bytes);
+    let warning = match (lacks_disk, available < memory_bytes) {
+        (true, _) => Some("the disk may become full; free some and continue with --resume then".to_owned()),
+        (_, true) => {
+            Some("the memory may not suffice: it holds the images and sweeps around a frame".to_owned())
+        }
+        _ => None,
+    };
+    (text, warning)
+}
+
 impl skeleton::Progress for StageProgress {
+    fn needs(&self, estimate: &dyn Fn() -> BuildNeeds) {
+        let (text, warning) = describe(&estimate());
+        print_progress(&text);
+        warning.iter().for_each(|text| warn(text));
+    }
+
     fn start(&self, stage: &str, steps: usize) {
         self.change(|state| state.stage = Some((stage.to_owned(), Progress::new(steps))));
     }
@@ -131,6 +163,7 @@ impl skeleton::Progress for StageProgress {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use point_skeleton::memory::{Available, LimitSource};
 
     #[test]
     fn time_left_follows_progress() {
@@ -140,6 +173,29 @@ mod tests {
         assert_eq!([left(10), left(30), left(40)], [180, 20, 0]);
         assert_eq!(time_left(Duration::from_secs(9)), "");
         assert_eq!(time_left(Duration::from_secs(180)), ", 3 minutes left");
+    }
+
+    #[test]
+    fn needs_are_compared_with_what_there_is() {
+        let available = Available { bytes: 4 << 30, source: LimitSource::System };
+        let needs = BuildNeeds {
+            sweeps: 160,
+            points: 10_600_000,
+            skeleton_bytes: 1 << 27,
+            disk_bytes: 3 << 29,
+            free_bytes: Some(2 << 30),
+            memory_bytes: 1 << 30,
+            available,
+        };
+        let (text, warning) = describe(&needs);
+        let expected = "about 10.6 million points in 160 sweeps: at most 1.5 GiB of disk while building (2.0 GiB free), \
+                        128.0 MiB at the end; about 1.0 GiB of memory (4.0 GiB available)";
+        assert_eq!((text.as_str(), warning), (expected, None));
+        let warning = |needs: BuildNeeds| describe(&needs).1.unwrap_or_default();
+        let full = warning(BuildNeeds { free_bytes: Some(1 << 30), ..needs.clone() });
+        assert!(full.starts_with("the disk may become full"), "{full}");
+        let small = warning(BuildNeeds { memory_bytes: 5 << 30, ..needs });
+        assert!(small.starts_with("the memory may not suffice"), "{small}");
     }
 
     #[test]

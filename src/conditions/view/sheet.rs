@@ -18,7 +18,7 @@ use crate::error::FileError;
 use crate::scene::MapLayer;
 
 /// Maximum tile width, pixels.
-pub const TILE_WIDTH_PX: u32 = 448;
+pub const TILE_WIDTH_PX: u32 = 224;
 
 /// Color between the tiles.
 pub const BACKGROUND: [u8; 3] = [17, 19, 24];

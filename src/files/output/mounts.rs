@@ -24,6 +24,13 @@ pub(in super::super) fn parent(path: &Path) -> &Path {
     path.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."))
 }
 
+/// Returns the free space for files of this user where a path is or will be, bytes; `None` if it is unknown.
+pub(crate) fn free_bytes(path: &Path) -> Option<u64> {
+    let existing = path.ancestors().map(|path| path.join(".")).find(|path| path.is_dir())?;
+    let found = rustix::fs::statvfs(existing).ok()?;
+    Some(found.f_bavail.saturating_mul(found.f_frsize))
+}
+
 /// Returns whether an error of a rename says that the path itself cannot be renamed or replaced by a rename.
 pub(in super::super) fn is_fixed(error: &Error) -> bool {
     matches!(
@@ -38,6 +45,14 @@ pub(in super::super) fn is_fixed(error: &Error) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn free_space_is_that_of_the_file_system() {
+        let folder = tempfile::tempdir().unwrap();
+        let free = free_bytes(folder.path()).unwrap();
+        assert!(free > 0 && free_bytes(&folder.path().join("a/b")).unwrap().abs_diff(free) < 8 << 30);
+        assert!(free_bytes(Path::new("none")).is_some() && free_bytes(Path::new("/proc/none")) == Some(0));
+    }
 
     #[test]
     fn ordinary_folders_are_not_mounted() {

@@ -8,7 +8,7 @@ use super::stream::{FrameCloud, Stream};
 use crate::skeleton::BuildOptions;
 
 /// Number of points in memory that triggers a checkpoint before its regular frame.
-const MAX_BUFFERED_POINTS: usize = 1_000_000;
+pub(super) const MAX_BUFFERED_POINTS: usize = 1_000_000;
 
 /// Build in progress.
 pub(super) struct Builder<'a> {

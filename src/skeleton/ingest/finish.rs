@@ -5,14 +5,13 @@ use std::path::Path;
 use super::builder::Builder;
 use super::cells::Cell;
 use super::error::BuildError;
-use super::runs::Runs;
+use super::runs::{Part, Runs};
 use super::stream::Stream;
 use super::sums::VoxelSum;
-use crate::cloud::{Bounds, Point, sort_in_space};
+use crate::cloud::{Point, sort_in_space};
 use crate::dataset::Frame;
 use crate::error::FileError;
-use crate::files::Checksum;
-use crate::skeleton::{Asset, BuildReport, CHUNK_M, Chunk, GenerateTemplates, SkeletonWriter, Source};
+use crate::skeleton::{Asset, BuildReport, CHUNK_M, GenerateTemplates, SkeletonWriter, Source};
 
 /// Note for a log whose actors are empty.
 const NO_ACTOR: &str =
@@ -35,16 +34,26 @@ impl Builder<'_> {
             return Err(BuildError::Empty { sweeps, points, images, notes });
         }
         let runs = Runs::open(self.work.path(), &self.done.runs)?;
-        let cells = self.ordered(runs.cells())?;
-        self.run.progress.start("merge points", cells.len());
+        // Without voxels, points are sorted by time in runs, and in space at the end.
+        let is_sorted = |cell| self.cells.voxels(cell).side_m > 0.0;
+        let parts = runs.parts(&self.ordered(runs.cells())?, is_sorted);
+        self.run.progress.start("merge points", parts.len());
         let logs: Vec<String> = self.streams.iter().map(|stream| stream.log.fingerprint()).collect();
+        let points = |cell, sums: Vec<VoxelSum>| {
+            let (voxels, class) = (self.cells.voxels(cell), self.class_of(cell));
+            let mut points: Vec<Point> = sums.iter().map(|sum| voxels.mean(sum, class)).collect();
+            if !is_sorted(cell) {
+                sort_in_space(&mut points);
+            }
+            points
+        };
         SkeletonWriter::write_by(out, self.work.work(), &logs, |writer| {
-            runs.merged(&cells, |cell, sums| {
+            runs.merged(&parts, points, |part, points| {
                 self.run.progress.step();
                 if self.run.progress.is_stopped() {
                     return Err(BuildError::Stopped);
                 }
-                self.write_cell(writer, cell, &sums)
+                self.write_part(writer, part, &points)
             })?;
             writer.templates_from(templates)?;
             let sources = self.streams.iter().map(source).collect();
@@ -88,45 +97,45 @@ impl Builder<'_> {
         Ok(cells)
     }
 
-    fn write_cell(
-        &self,
-        writer: &mut SkeletonWriter,
-        cell: Cell,
-        sums: &[VoxelSum],
-    ) -> Result<(), BuildError> {
-        let class = match cell {
+    fn class_of(&self, cell: Cell) -> u8 {
+        match cell {
             Cell::Chunk(_) => 0,
             Cell::Track { log, track } => self.streams[log].log.tracks[track].class as u8,
-        };
-        let voxels = self.cells.voxels(cell);
-        let mut points: Vec<Point> = sums.iter().map(|sum| voxels.mean(sum, class)).collect();
-        if voxels.side_m == 0.0 {
-            sort_in_space(&mut points);
         }
-        let Some(bounds) = Bounds::of(&points) else { return Ok(()) };
-        let xxh3 = Checksum::of(&points);
-        match cell {
+    }
+
+    fn write_part(
+        &self,
+        writer: &mut SkeletonWriter,
+        part: &Part,
+        points: &[Point],
+    ) -> Result<(), BuildError> {
+        match part.cell {
             Cell::Chunk(place) => {
-                let origin = place.map(|i| i as f64 * CHUNK_M);
-                writer.chunk(Chunk { origin, points: points.len(), bounds, xxh3 }, &points)?;
+                writer.chunk_points(points)?;
+                if part.is_last {
+                    writer.end_chunk(place.map(|i| i as f64 * CHUNK_M));
+                }
             }
             Cell::Track { log, track } => {
                 let stream = &self.streams[log];
                 let info = &stream.log.tracks[track];
                 // A track with points has boxes.
                 let Some(size) = stream.trajectories.median_size(track) else { return Ok(()) };
-                let asset = Asset {
-                    log: stream.log.name.clone(),
-                    track: info.id.clone(),
-                    category: info.category.clone(),
-                    class: info.class,
-                    size: size.to_array(),
-                    sweeps: self.done.track_sweeps.get(&cell).copied().unwrap_or(0),
-                    points: points.len(),
-                    bounds,
-                    xxh3,
-                };
-                writer.actor(asset, &points)?;
+                writer.actor_points(points)?;
+                if part.is_last {
+                    writer.end_actor(|cloud, bounds| Asset {
+                        log: stream.log.name.clone(),
+                        track: info.id.clone(),
+                        category: info.category.clone(),
+                        class: info.class,
+                        size: size.to_array(),
+                        sweeps: self.done.track_sweeps.get(&part.cell).copied().unwrap_or(0),
+                        points: cloud.points,
+                        bounds,
+                        xxh3: cloud.xxh3(),
+                    });
+                }
             }
         }
         Ok(())

@@ -8,12 +8,14 @@
 //! (without voxels: except for a cell's points). An interrupted build resumes from its last checkpoint and
 //! gives the same bytes.
 
+mod blocks;
 mod builder;
 mod cells;
 mod checkpoint;
 mod color;
 mod error;
 mod finish;
+mod needs;
 pub(super) mod occlusion;
 pub(super) mod projector;
 mod request;
@@ -24,6 +26,7 @@ mod sums;
 pub(super) mod sweep;
 
 pub use error::BuildError;
+pub use needs::BuildNeeds;
 pub use request::{BuildInput, BuildRun, Progress};
 
 use std::path::Path;
@@ -55,6 +58,7 @@ pub fn build(
         inputs.iter().map(|input| Stream::new(input, options)).collect::<Result<_, _>>()?;
     check_places(&streams)?;
     SkeletonWriter::check_target(out, &Inputs::default())?;
+    run.progress.needs(&|| BuildNeeds::of(&streams, out));
     let work = Unfinished::open(out, plan(&streams, options), run.resume)?;
     let mut builder = Builder::new(streams, options, run, work);
     let built = builder.gather().and_then(|()| builder.finish(out, templates));

@@ -1,5 +1,6 @@
 //! Request of a build: input frames, execution options.
 
+use super::needs::BuildNeeds;
 use crate::dataset::LogReader;
 
 /// Frames of a log used in a build.
@@ -37,6 +38,8 @@ impl Default for BuildRun<'_> {
 
 /// Progress callback of a long operation.
 pub trait Progress: Sync {
+    /// The operation is about to start. The function estimates what it needs, which takes a moment.
+    fn needs(&self, _estimate: &dyn Fn() -> BuildNeeds) {}
     /// Starts a stage with a number of steps.
     fn start(&self, stage: &str, steps: usize);
     /// Completes a step of the stage.

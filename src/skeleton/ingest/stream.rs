@@ -12,7 +12,7 @@ use glam::DAffine3;
 use rayon::prelude::*;
 
 use super::color;
-use super::color::estimator::ColorView;
+use super::color::estimator::{Candidate, ColorView};
 use super::error::BuildError;
 use super::occlusion::OcclusionGrid;
 use super::projector::{Pixels, PointColumns};
@@ -20,12 +20,13 @@ use super::request::{BuildInput, Progress};
 use super::sweep::SweepCloud;
 use crate::dataset::{DatasetError, Frame, ImageRecord, LogReader, Recording, SweepRecord, TrackBox};
 use crate::geometry::View;
-use crate::skeleton::{BuildOptions, Projector, Splitter, Trajectories};
+use crate::skeleton::{BuildOptions, Coloring, Projector, Splitter, Trajectories};
 
 /// Number of frames whose sweeps are read at once.
 const READ_AHEAD: usize = 4;
-/// Number of points that are projected at a time.
-const BLOCK: usize = 1024;
+
+/// Bytes of an image's pixel, with its part of the occlusion map.
+const IMAGE_BYTES: u64 = 4;
 
 /// Reader of a log for a build.
 pub(super) struct Stream<'a> {
@@ -67,6 +68,38 @@ impl<'a> Stream<'a> {
             (true, false) => [self.options.color_window, 0],
             (true, true) => [self.options.color_window, self.options.occlusion_window],
         }
+    }
+
+    /// Returns the sweeps of a frame that are used.
+    pub(super) fn sweeps<'f>(&self, frame: &'f Frame) -> impl Iterator<Item = &'f SweepRecord> {
+        let between = self.options.between_sweeps;
+        frame.sweeps.iter().filter(move |sweep| sweep.is_key || between)
+    }
+
+    /// Returns the mean number of points in the sweeps of a frame, the first one that has sweeps; 0 if none can
+    /// be read.
+    pub(super) fn points_of_a_sweep(&self) -> u64 {
+        let first = self.frames.iter().find(|frame| self.sweeps(frame).next().is_some());
+        let sweeps: Vec<&SweepRecord> = first.iter().flat_map(|frame| self.sweeps(frame)).collect();
+        // A damaged file is reported when its turn comes.
+        let read = sweeps.par_iter().filter_map(|sweep| self.reader.read_sweep(sweep).ok());
+        let points: usize = read.map(|sweep| sweep.points.len()).sum();
+        (points / sweeps.len().max(1)) as u64
+    }
+
+    /// Returns the memory of the window that moves along the log, bytes, for some number of points in a sweep.
+    pub(super) fn window_bytes(&self, points: u64) -> u64 {
+        let [color, hide] = self.windows();
+        let most =
+            |count: &dyn Fn(&usize) -> u64| (0..self.frames.len()).map(|i| count(&i)).max().unwrap_or(0);
+        let pixels = |record: &ImageRecord| u64::from(record.camera.width) * u64::from(record.camera.height);
+        let image_bytes = most(&|frame| self.records(*frame).into_iter().map(pixels).sum()) * IMAGE_BYTES;
+        let sweep_bytes = most(&|frame| self.sweeps(self.frames[*frame]).count() as u64)
+            * points
+            * size_of::<Candidate>() as u64;
+        let frames = |count: usize| count.min(self.frames.len()) as u64;
+        // The images of a frame are decoded while those of the window are in memory.
+        frames(2 * color + 2) * image_bytes + frames(2 * color.max(hide) + 1 + READ_AHEAD) * sweep_bytes
     }
 
     /// Emits the frames from index `first` on, in order. The emitted frames do not depend on `first`.
@@ -145,12 +178,9 @@ impl<'a> Stream<'a> {
         if next > last.min(self.frames.len() - 1) {
             return Ok(());
         }
-        let wanted = |sweep: &&SweepRecord| sweep.is_key || self.options.between_sweeps;
         let frames = next..(last + READ_AHEAD).min(self.frames.len());
-        let records: Vec<(usize, &SweepRecord)> = frames
-            .clone()
-            .flat_map(|i| self.frames[i].sweeps.iter().filter(wanted).map(move |sweep| (i, sweep)))
-            .collect();
+        let records: Vec<(usize, &SweepRecord)> =
+            frames.clone().flat_map(|i| self.sweeps(self.frames[i]).map(move |sweep| (i, sweep))).collect();
         let read: Vec<_> =
             records.par_iter().map(|(i, record)| (*i, self.read_sweep(self.frames[*i], record))).collect();
         window.clouds.extend(frames.map(|_| FrameCloud::default()));
@@ -182,8 +212,11 @@ impl<'a> Stream<'a> {
         let boxes = self.boxes_at(frame, record.t_us);
         let splitter = Splitter::new(&boxes, &self.trajectories, record.t_us, &self.options.split);
         let mut cloud = SweepCloud::split(&sweep, record, &splitter, &self.options.split);
-        if !self.has_images {
-            cloud.make_grey();
+        match (self.has_images, self.options.coloring) {
+            (false, _) => cloud.make_grey(),
+            (true, Coloring::Agreed) => cloud.sort_in_space(),
+            // Copies of points change the blocks.
+            (true, Coloring::EveryCamera) => {}
         }
         Ok(cloud)
     }
@@ -249,7 +282,10 @@ impl<'a> Stream<'a> {
         for (track, points) in cloud.parts() {
             let Some(place) = self.place(track, t_us) else { continue };
             let project = Projector::new(view, &place);
-            for block in points.chunks(BLOCK) {
+            for (corners, block) in cloud.blocks(track, points) {
+                if corners.is_some_and(|corners| project.misses(corners)) {
+                    continue;
+                }
                 columns.set(block.iter().map(|point| point.position));
                 project.pixels(&columns, &mut pixels);
                 pixels.iter().for_each(|(_, pixel, depth_m)| grid.add(pixel, depth_m));

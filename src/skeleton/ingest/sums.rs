@@ -101,27 +101,23 @@ fn gather(bits: u64) -> u64 {
     steps.fold(bits & STEPS[4].1, |bits, (shift, mask)| (bits | bits >> shift) & mask)
 }
 
-/// Merges two sorted lists of distinct voxels.
-pub(super) fn merge_two(a: Vec<VoxelSum>, b: Vec<VoxelSum>) -> Vec<VoxelSum> {
-    if a.is_empty() || b.is_empty() {
-        return if a.is_empty() { b } else { a };
-    }
-    let mut merged = Vec::with_capacity(a.len().max(b.len()));
-    let (mut a, mut b) = (a.into_iter().peekable(), b.into_iter().peekable());
-    while let (Some(first), Some(second)) = (a.peek(), b.peek()) {
-        let order = first.key.cmp(&second.key);
-        let (from_a, from_b) = (order.is_le().then(|| a.next()), order.is_ge().then(|| b.next()));
-        let sums = [from_a, from_b].into_iter().flatten().flatten();
-        merged.extend(sums.reduce(VoxelSum::plus));
-    }
-    merged.extend(a);
-    merged.extend(b);
-    merged
-}
-
 /// Sorts by voxel and merges sums of the same voxel.
 pub(super) fn merge(mut sums: Vec<VoxelSum>) -> Vec<VoxelSum> {
     sums.sort_unstable_by_key(|sum| sum.key);
+    merge_equal(&mut sums);
+    sums
+}
+
+/// Merges the sums of several lists, each sorted by voxel, one after the other.
+pub(super) fn merge_sorted(mut sums: Vec<VoxelSum>) -> Vec<VoxelSum> {
+    // A stable sort finds the lists and merges them.
+    sums.sort_by_key(|sum| sum.key);
+    merge_equal(&mut sums);
+    sums
+}
+
+/// Merges neighbors of the same voxel.
+fn merge_equal(sums: &mut Vec<VoxelSum>) {
     sums.dedup_by(|next, retained| {
         let same = next.key == retained.key;
         if same {
@@ -129,7 +125,6 @@ pub(super) fn merge(mut sums: Vec<VoxelSum>) -> Vec<VoxelSum> {
         }
         same
     });
-    sums
 }
 
 #[cfg(test)]
@@ -191,7 +186,7 @@ mod tests {
             let sums: Vec<VoxelSum> = points.iter().map(|(x, y, grey)| sum(*x, *y, 0.5, *grey)).collect();
             let whole = merge(sums.clone());
             let dealt = (0..parts).map(|p| merge(sums.iter().copied().skip(p).step_by(parts).collect()));
-            prop_assert_eq!(&dealt.reduce(merge_two).unwrap_or_default(), &whole);
+            prop_assert_eq!(&merge_sorted(dealt.flatten().collect()), &whole);
             prop_assert!(whole.windows(2).all(|pair| pair[0].key < pair[1].key));
             prop_assert_eq!(whole.iter().map(|s| s.count).sum::<u64>(), points.len() as u64);
         }

@@ -3,9 +3,14 @@ use std::collections::BTreeMap;
 use glam::DVec3;
 
 use super::color::estimator::Candidate;
+use super::projector::Corners;
+use crate::cloud::{Bounds, Point, morton_order};
 use crate::dataset::{Sweep, SweepRecord};
 use crate::geometry::is_position;
 use crate::skeleton::{Part, SplitOptions, Splitter};
+
+/// Number of points that are projected at a time.
+pub(in super::super) const BLOCK: usize = 1024;
 
 /// Point color for logs without images.
 const GREY: [u8; 3] = [128; 3];
@@ -22,6 +27,8 @@ pub(in super::super) struct SweepCloud {
     /// Points of each track in its box frame.
     pub(in super::super) actors: BTreeMap<usize, Vec<Candidate>>,
     pub(in super::super) read: usize,
+    /// Of the blocks of each part, if its points are sorted in space.
+    pub(in super::super) corners: BTreeMap<Option<usize>, Vec<Corners>>,
     /// Points with NaN, infinite or impossible coordinates.
     pub(in super::super) not_finite: usize,
     pub(in super::super) ghosts: usize,
@@ -75,6 +82,26 @@ impl SweepCloud {
         cloud
     }
 
+    /// Sorts the points of each part in space, and notes the corners of its blocks.
+    pub(in super::super) fn sort_in_space(&mut self) {
+        self.parts_mut().for_each(|(_, points)| sort_in_space(points));
+        let corners = |points: &Vec<Candidate>| {
+            points.chunks(BLOCK).map(|block| Corners::of(block.iter().map(|point| point.position))).collect()
+        };
+        let corners: Vec<_> = self.parts().map(|(track, points)| (track, corners(points))).collect();
+        self.corners = corners.into_iter().collect();
+    }
+
+    /// Returns the points of a part block by block, with the corners around each if they are known.
+    pub(in super::super) fn blocks<'c>(
+        &'c self,
+        track: Option<usize>,
+        points: &'c [Candidate],
+    ) -> impl Iterator<Item = (Option<&'c Corners>, &'c [Candidate])> {
+        let corners = self.corners.get(&track).map_or(&[] as &[Corners], Vec::as_slice);
+        points.chunks(BLOCK).enumerate().map(|(i, block)| (corners.get(i), block))
+    }
+
     pub(in super::super) fn parts(&self) -> impl Iterator<Item = (Option<usize>, &Vec<Candidate>)> {
         let actors = self.actors.iter().map(|(track, points)| (Some(*track), points));
         std::iter::once((None, &self.background)).chain(actors)
@@ -91,6 +118,16 @@ impl SweepCloud {
         for (_, points) in self.parts_mut() {
             points.iter_mut().for_each(|p| p.rgb = Some(GREY));
         }
+    }
+}
+
+/// Sorts points so that neighbors are close in every image.
+fn sort_in_space(points: &mut Vec<Candidate>) {
+    let Some(first) = points.first().map(|point| point.position) else { return };
+    let local = |point: &Candidate| Point::new((point.position - first).as_vec3().to_array(), [0; 3], 0);
+    let locals: Vec<Point> = points.iter().map(local).collect();
+    if let Some(order) = Bounds::of(&locals).and_then(|bounds| morton_order(&locals, &bounds)) {
+        *points = order.iter().map(|i| points[*i as usize]).collect();
     }
 }
 

@@ -3,7 +3,6 @@ use rayon::prelude::*;
 
 use super::estimator::{Candidate, ColorView};
 use super::estimator::{LANES, LaneSamples, agreed_colors};
-use crate::cloud::{Bounds, Point, morton_order};
 use crate::skeleton::ingest::projector::{Corners, Pixels, PointColumns};
 use crate::skeleton::ingest::sweep::SweepCloud;
 use crate::skeleton::{Coloring, Projector};
@@ -35,24 +34,15 @@ pub(in super::super) fn sweep(
     });
 }
 
-/// Colors the points of a part in spatial order, so that neighbors are close in every image.
+/// Colors the points of a part, which are sorted in space.
 fn color_part(points: &mut [Candidate], views: &[(&ColorView, Projector)]) {
-    let Some(first) = points.first().map(|point| point.position) else { return };
-    let local = |point: &Candidate| Point::new((point.position - first).as_vec3().to_array(), [0; 3], 0);
-    let locals: Vec<Point> = points.iter().map(local).collect();
-    let order = Bounds::of(&locals).and_then(|bounds| morton_order(&locals, &bounds));
-    let order = order.unwrap_or_else(|| (0..points.len() as u32).collect());
-    let mut sorted: Vec<Candidate> = order.iter().map(|i| points[*i as usize]).collect();
-    color_jobs(&mut sorted, views, Hidden::Refused);
+    color_jobs(points, views, Hidden::Refused);
     // A point that every image hides is still part of the geometry, and the test is not perfect.
-    let hidden: Vec<usize> = (0..sorted.len()).filter(|i| sorted[*i].rgb.is_none()).collect();
-    let mut rest: Vec<Candidate> = hidden.iter().map(|i| sorted[*i]).collect();
+    let hidden: Vec<usize> = (0..points.len()).filter(|i| points[*i].rgb.is_none()).collect();
+    let mut rest: Vec<Candidate> = hidden.iter().map(|i| points[*i]).collect();
     color_jobs(&mut rest, views, Hidden::Accepted);
     for (i, point) in hidden.iter().zip(rest) {
-        sorted[*i].rgb = point.rgb;
-    }
-    for (i, point) in order.iter().zip(sorted) {
-        points[*i as usize].rgb = point.rgb;
+        points[*i].rgb = point.rgb;
     }
 }
 

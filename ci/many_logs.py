@@ -1,0 +1,119 @@
+#!/usr/bin/env python3
+"""Builds the skeleton of a location from many logs, without and with interruptions, and prints what it needs.
+
+    ci/many_logs.py [--logs N] [--kills N] [--frames N] [--size HxW] [--seed S] [--pskel FILE]
+
+The logs are synthetic towns with consecutive seeds, which share a location. The first build runs through, the second one
+is killed at random moments (SIGKILL) and continued with --resume. Prints time, peak memory and peak disk space of the
+first one beside the estimate of the command, and exits with 1 if the skeletons differ or if an estimate is exceeded.
+"""
+
+import argparse
+import random
+import re
+import resource
+import shutil
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent
+UNITS = {"MiB": 2**20, "GiB": 2**30, "TiB": 2**40}
+
+
+def size_of(folder):
+    """Returns the size of all files below a folder, bytes."""
+    total = 0
+    for path in folder.rglob("*"):
+        try:
+            total += path.stat().st_size if path.is_file() else 0
+        except FileNotFoundError:
+            pass  # removed meanwhile
+    return total
+
+
+def estimates(text):
+    """Returns the points, the disk space and the memory that the command expects to need, bytes."""
+    found = re.search(r"about ([\d.]+) million points.*at most ([\d.]+) (\w+) of disk.*about ([\d.]+) (\w+) of memory", text)
+    points, disk, disk_unit, memory, memory_unit = found.groups()
+    return float(points) * 1e6, float(disk) * UNITS[disk_unit], float(memory) * UNITS[memory_unit]
+
+
+class DiskPeak(threading.Thread):
+    """Measures the largest size of a folder while something runs."""
+
+    def __init__(self, folder):
+        super().__init__(daemon=True)
+        self.folder, self.peak, self.ended = folder, 0, threading.Event()
+
+    def run(self):
+        while not self.ended.wait(0.05):
+            self.peak = max(self.peak, size_of(self.folder))
+
+
+def whole_build(command, folder):
+    """Builds without interruption and prints its needs; returns the time, seconds, and whether the estimates hold."""
+    folder.mkdir()
+    disk, start = DiskPeak(folder), time.monotonic()
+    disk.start()
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True)
+    seconds = time.monotonic() - start
+    disk.ended.set()
+    if done.returncode != 0:
+        sys.exit(done.stderr)
+    memory = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss * 1024
+    points, disk_estimate, memory_estimate = estimates(done.stderr)
+    print(done.stdout.strip().splitlines()[-1][-300:])
+    print(f"{seconds:.1f} s, {points / 1e6:.1f} million points; disk {disk.peak / 2**20:.0f} MiB (at most "
+          f"{disk_estimate / 2**20:.0f}), {size_of(folder) / 2**20:.0f} at the end; memory {memory / 2**20:.0f} MiB "
+          f"(about {memory_estimate / 2**20:.0f})")
+    return seconds, disk.peak <= disk_estimate
+
+
+def killed_build(command, folder, seconds, kills, random_moment):
+    """Builds with interruptions; returns their number."""
+    folder.mkdir()
+    killed = 0
+    while True:
+        resume = ["--resume"] if (folder / "sk.partial/checkpoint.json").is_file() else []
+        process = subprocess.Popen([*command, *resume], cwd=folder, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+        try:
+            if killed < kills:
+                process.wait(random_moment.uniform(0.3, 2.0) * seconds / kills)
+            elif process.wait() != 0:
+                sys.exit(process.stderr.read())
+            return killed
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+            killed += 1
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("--logs", type=int, default=100)
+    parser.add_argument("--kills", type=int, default=10)
+    parser.add_argument("--frames", type=int, default=4)
+    parser.add_argument("--size", default="57x100")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--pskel", default=str(ROOT / "target/release/pskel"))
+    args = parser.parse_args()
+    logs = [f"town:seed={seed},frames={args.frames},size={args.size}" for seed in range(1, args.logs + 1)]
+    command = [args.pskel, "build", *logs, "--out", "sk"]
+    work = Path(tempfile.mkdtemp(prefix="pskel-many-"))
+    try:
+        seconds, holds = whole_build(command, work / "whole")
+        killed = killed_build(command, work / "killed", seconds, args.kills, random.Random(args.seed))
+        differs = subprocess.run(["diff", "-rq", work / "whole", work / "killed"], capture_output=True, text=True).stdout
+    finally:
+        shutil.rmtree(work)
+    print(f"killed {killed} times: {'other bytes: ' + differs if differs else 'the same bytes'}")
+    if differs or not holds or killed < args.kills:
+        sys.exit(1)
+
+
+if __name__ == "__main__":
+    main()
