@@ -113,7 +113,7 @@ fn renders_a_contact_sheet_of_a_street() {
     let bins = DepthBins { scale: BinScale::Log, far_m: 60.0, ..DepthBins::default() };
     sheet::write(&path, &set, &bins, "000000  procedural street").unwrap();
     let image = image::open(&path).unwrap().to_rgb8();
-    assert_eq!(image.width(), 2 * 16 + 3 * 448 + 2 * 4);
+    assert_eq!(image.width(), 2 * 16 + 3 * 224 + 2 * 4);
     // Every actor is visible in some camera, in all maps.
     let numbers: std::collections::BTreeSet<u32> =
         set.cameras.iter().flat_map(|c| c.instance.as_ref().unwrap()).copied().collect();

@@ -4,7 +4,8 @@
 //! Each map is a block with a title and a legend. In it, the cameras of a known surround rig are arranged by
 //! direction (front left, front, front right above back left, back, back right); other cameras are in rows of
 //! three. Classes and numbers are shown as colors over the depth in dark gray. Tiles are scaled down to at
-//! most [`TILE_WIDTH_PX`].
+//! most [`TILE_WIDTH_PX`], twice that if there is only one column: a sheet is an overview, and the maps themselves
+//! are beside it.
 
 use std::borrow::Cow;
 use std::cell::OnceCell;
@@ -69,6 +70,8 @@ pub fn write(path: &Path, set: &ConditionSet, bins: &DepthBins, caption: &str) -
 /// Draws the sheet and returns its size and RGB pixels.
 pub fn draw(set: &ConditionSet, bins: &DepthBins, caption: &str) -> (ImageSize, Vec<[u8; 3]>) {
     let grid = Grid::of(set, TILE_WIDTH_PX);
+    // Legends need some width.
+    let grid = if grid.columns == 1 { Grid::of(set, 2 * TILE_WIDTH_PX) } else { grid };
     let kinds = kinds(set);
     let block = TITLE + grid.height();
     let size = ImageSize {
