@@ -1,9 +1,10 @@
 #!/usr/bin/env python3
 """Builds the skeleton of a location from many logs, without and with interruptions, and prints what it needs.
 
-    ci/many_logs.py [--logs N] [--kills N] [--frames N] [--size HxW] [--seed S] [--pskel FILE]
+    ci/many_logs.py [--logs N] [--kills N] [--frames N] [--size HxW] [--seed S] [--towns DIR] [--pskel FILE]
 
-The logs are synthetic towns with consecutive seeds, which share a location. The first build runs through, the second one
+The logs are synthetic towns with consecutive seeds, which share a location. They are written to --towns, unless they are
+there already. The first build runs through, the second one
 is killed at random moments (SIGKILL) and continued with --resume. Prints time, peak memory and peak disk space of the
 first one beside the estimate of the command, and exits with 1 if the skeletons differ or if an estimate is exceeded.
 """
@@ -37,9 +38,21 @@ def size_of(folder):
 
 def estimates(text):
     """Returns the points, the disk space and the memory that the command expects to need, bytes."""
-    found = re.search(r"about ([\d.]+) million points.*at most ([\d.]+) (\w+) of disk.*about ([\d.]+) (\w+) of memory", text)
+    found = re.search(r"about ([\d.]+) million points.*at most ([\d.]+) (\w+) of disk.*end; ([\d.]+) (\w+) of memory", text)
     points, disk, disk_unit, memory, memory_unit = found.groups()
     return float(points) * 1e6, float(disk) * UNITS[disk_unit], float(memory) * UNITS[memory_unit]
+
+
+def written_towns(args, folder):
+    """Writes the towns that are missing in a folder; returns the logs."""
+    logs = []
+    for seed in range(1, args.logs + 1):
+        town = folder.resolve() / f"{args.size}-{args.frames}-{seed}"
+        if not town.is_dir():
+            options = f"seed={seed},frames={args.frames},size={args.size}"
+            subprocess.run([args.pskel, "town", options, "--out", town], check=True, capture_output=True)
+        logs.append(f"nuscenes:{town}")
+    return logs
 
 
 class DiskPeak(threading.Thread):
@@ -69,7 +82,7 @@ def whole_build(command, folder):
     print(done.stdout.strip().splitlines()[-1][-300:])
     print(f"{seconds:.1f} s, {points / 1e6:.1f} million points; disk {disk.peak / 2**20:.0f} MiB (at most "
           f"{disk_estimate / 2**20:.0f}), {size_of(folder) / 2**20:.0f} at the end; memory {memory / 2**20:.0f} MiB "
-          f"(about {memory_estimate / 2**20:.0f})")
+          f"(at most {memory_estimate / 2**20:.0f} beyond the logs)")
     return seconds, disk.peak <= disk_estimate
 
 
@@ -99,12 +112,13 @@ def main():
     parser.add_argument("--frames", type=int, default=4)
     parser.add_argument("--size", default="57x100")
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--towns", type=Path)
     parser.add_argument("--pskel", default=str(ROOT / "target/release/pskel"))
     args = parser.parse_args()
-    logs = [f"town:seed={seed},frames={args.frames},size={args.size}" for seed in range(1, args.logs + 1)]
-    command = [args.pskel, "build", *logs, "--out", "sk"]
     work = Path(tempfile.mkdtemp(prefix="pskel-many-"))
     try:
+        logs = written_towns(args, args.towns or work / "towns")
+        command = [args.pskel, "build", *logs, "--out", "sk"]
         seconds, holds = whole_build(command, work / "whole")
         killed = killed_build(command, work / "killed", seconds, args.kills, random.Random(args.seed))
         differs = subprocess.run(["diff", "-rq", work / "whole", work / "killed"], capture_output=True, text=True).stdout

@@ -26,7 +26,7 @@ pub struct BuildNeeds {
     pub disk_bytes: u64,
     /// Free disk space, bytes; `None` if the system does not say.
     pub free_bytes: Option<u64>,
-    /// Memory, bytes: it does not depend on the number of frames.
+    /// Memory beyond that of the opened logs, bytes: it does not depend on the number of frames.
     pub memory_bytes: u64,
     /// Available memory.
     pub available: Available,
@@ -56,7 +56,8 @@ impl BuildNeeds {
             skeleton_bytes,
             disk_bytes: skeleton_bytes + runs,
             free_bytes: free_bytes(out),
-            memory_bytes: window.saturating_add(buffered).max(merging),
+            // Runs are merged while a log is read.
+            memory_bytes: window + buffered + merging,
             available: available(),
         }
     }

@@ -26,8 +26,8 @@ const SIDE_M: f64 = 30.0;
 /// A place with city coordinates.
 const CITY: DVec3 = DVec3::new(664_000.0, 3_997_000.0, 10.0);
 
-/// Factor of all numbers of points, and of the budgets.
-fn factor() -> u64 {
+/// Factor of the numbers of points of a drive, and of its budgets.
+fn drive_factor() -> u64 {
     std::env::var("PSKEL_STREAMED_FACTOR").map_or(1, |factor| factor.parse().unwrap())
 }
 
@@ -38,7 +38,7 @@ struct Street {
     instances: Vec<Instance>,
 }
 
-fn street(folder: &Path, random: &mut Random) -> Street {
+fn street(folder: &Path, random: &mut Random, factor: u64) -> Street {
     let cloud = |count: u64, random: &mut Random| {
         let side = |random: &mut Random| random.between(0.0, SIDE_M) as f32;
         let point = |random: &mut Random| {
@@ -49,7 +49,7 @@ fn street(folder: &Path, random: &mut Random) -> Street {
         sort_in_space(&mut points);
         points
     };
-    let sizes = [9000, 20_000, 4096, 0, 14_000, 300, 17_000, 12_000].map(|size| size * factor());
+    let sizes = [9000, 20_000, 4096, 0, 14_000, 300, 17_000, 12_000].map(|size| size * factor);
     let points: Vec<Vec<Point>> = sizes.iter().map(|count| cloud(*count, random)).collect();
     let mut writer = PagedWriter::create(&folder.join("points"), &folder.join("pages")).unwrap();
     points.iter().for_each(|points| drop(writer.add(points).unwrap()));
@@ -101,13 +101,14 @@ fn rasterizers<'a>(
     device: &Arc<Device>,
     clouds: &CloudSet<'a>,
     chunks: u64,
+    factor: u64,
 ) -> Vec<Result<Box<dyn Rasterizer + 'a>, RasterError>> {
-    let chunks = chunks * factor();
+    let chunks = chunks * factor;
     let cpu = CpuRasterizerDesc { memory_bytes: Some(chunks * 4096 * 17), ..CpuRasterizerDesc::default() };
     let cpu = CpuRasterizer::with_desc(clouds.clone(), cpu);
     let graphics = GraphicsRasterizerDesc {
         memory_bytes: Some(chunks * 4096 * 16),
-        page_points: Some(3 * 4096 * factor() as u32),
+        page_points: Some(3 * 4096 * factor as u32),
         ..GraphicsRasterizerDesc::default()
     };
     let graphics = GraphicsRasterizer::with_desc(device.clone(), clouds, graphics);
@@ -119,8 +120,8 @@ fn rasterizers<'a>(
         let desc = ComputeRasterizerDesc {
             // Colors take half of the budget.
             memory_bytes: Some(2 * chunks * 4096 * 4),
-            streamed_rows: Some(factor().min(512) as u32),
-            page_rows: Some(2 * factor() as u32),
+            streamed_rows: Some(factor.min(512) as u32),
+            page_rows: Some(2 * factor as u32),
             ..ComputeRasterizerDesc::default()
         };
         let compute = ComputeRasterizer::with_desc(device.clone(), clouds, desc);
@@ -142,12 +143,14 @@ fn frame(rasterizer: &mut dyn Rasterizer, job: &FrameJob<'_>) -> Result<Vec<[Vec
 #[test]
 fn drives_that_jump_look_as_if_everything_was_in_memory() {
     let (folder, random) = (tempfile::tempdir().unwrap(), &mut Random(43));
-    let street = street(folder.path(), random);
+    let factor = drive_factor();
+    let street = street(folder.path(), random, factor);
     let stored: CloudSet<'_> = street.file.clouds().map(Cloud::Stored).collect();
     let schedule: SplatSchedule = "5:3,20:1,40:0".parse().unwrap();
     let mut reference = ReferenceRasterizer::new(street.points.iter().map(Cloud::from).collect());
     with_device(|device| {
-        let mut all: Vec<_> = rasterizers(&device, &stored, 16).into_iter().map(Result::unwrap).collect();
+        let mut all: Vec<_> =
+            rasterizers(&device, &stored, 16, factor).into_iter().map(Result::unwrap).collect();
         let (mut x_m, mut filled) = (0.0, 0);
         for step in 0..24 {
             x_m = if step % 5 == 4 { random.between(-20.0, 220.0) } else { x_m + random.between(0.0, 6.0) };
@@ -172,11 +175,11 @@ fn drives_that_jump_look_as_if_everything_was_in_memory() {
 #[test]
 fn budgets_that_a_frame_exceeds_are_refused_with_the_number() {
     let (folder, random) = (tempfile::tempdir().unwrap(), &mut Random(44));
-    let street = street(folder.path(), random);
+    let street = street(folder.path(), random, 1);
     let stored: CloudSet<'_> = street.file.clouds().map(Cloud::Stored).collect();
     let (schedule, views) = (SplatSchedule::default(), views(60.0, 0.0));
     with_device(|device| {
-        for (rasterizer, chunks) in rasterizers(&device, &stored, 4).into_iter().zip([4, 4, 8]) {
+        for (rasterizer, chunks) in rasterizers(&device, &stored, 4, 1).into_iter().zip([4, 4, 8]) {
             let mut rasterizer = match rasterizer {
                 Ok(rasterizer) => rasterizer,
                 Err(error) => {
@@ -199,16 +202,16 @@ fn budgets_that_a_frame_exceeds_are_refused_with_the_number() {
 #[test]
 fn damaged_and_truncated_files_are_named_once_their_points_are_seen() {
     let (folder, random) = (tempfile::tempdir().unwrap(), &mut Random(45));
-    let street = street(folder.path(), random);
+    let street = street(folder.path(), random, 1);
     let path = folder.path().join("points");
     let stored: CloudSet<'_> = street.file.clouds().map(Cloud::Stored).collect();
     let schedule: SplatSchedule = "20:1".parse().unwrap();
     // Some byte of the second cloud.
     let mut bytes = std::fs::read(&path).unwrap();
-    bytes[(9000 * factor() as usize + 5000) * 16] ^= 4;
+    bytes[(9000 + 5000) * 16] ^= 4;
     std::fs::write(&path, &bytes).unwrap();
     with_device(|device| {
-        for rasterizer in rasterizers(&device, &stored, 100) {
+        for rasterizer in rasterizers(&device, &stored, 100, 1) {
             let mut rasterizer = rasterizer.unwrap();
             let [far, near] = [200.0, 45.0].map(|x_m| views(x_m, 0.0));
             let good = frame(rasterizer.as_mut(), &job(&street, &far, &schedule)).unwrap();
@@ -219,8 +222,8 @@ fn damaged_and_truncated_files_are_named_once_their_points_are_seen() {
             // The rest of the street is as good as before.
             assert!(frame(rasterizer.as_mut(), &job(&street, &far, &schedule)).unwrap() == good);
         }
-        std::fs::File::options().write(true).open(&path).unwrap().set_len(9000 * factor() * 16).unwrap();
-        for rasterizer in rasterizers(&device, &stored, 100) {
+        std::fs::File::options().write(true).open(&path).unwrap().set_len(9000 * 16).unwrap();
+        for rasterizer in rasterizers(&device, &stored, 100, 1) {
             let near = views(45.0, 0.0);
             let error = frame(rasterizer.unwrap().as_mut(), &job(&street, &near, &schedule)).unwrap_err();
             assert!(matches!(error, RasterError::Points(FileError::Content { .. })), "{error}");
