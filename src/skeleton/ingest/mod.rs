@@ -26,8 +26,7 @@ mod sums;
 pub(super) mod sweep;
 
 pub use error::BuildError;
-pub use needs::BuildNeeds;
-pub use request::{BuildInput, BuildRun, Progress};
+pub use request::{BuildInput, BuildNeeds, BuildRun, Progress};
 
 use std::path::Path;
 
@@ -58,7 +57,7 @@ pub fn build(
         inputs.iter().map(|input| Stream::new(input, options)).collect::<Result<_, _>>()?;
     check_places(&streams)?;
     SkeletonWriter::check_target(out, &Inputs::default())?;
-    run.progress.needs(&|| BuildNeeds::of(&streams, out));
+    run.progress.needs(&|| needs::estimate(&streams, out));
     let work = Unfinished::open(out, plan(&streams, options), run.resume)?;
     let mut builder = Builder::new(streams, options, run, work);
     let built = builder.gather().and_then(|()| builder.finish(out, templates));

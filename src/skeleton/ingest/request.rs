@@ -1,7 +1,7 @@
 //! Request of a build: input frames, execution options.
 
-use super::needs::BuildNeeds;
 use crate::dataset::LogReader;
+use crate::memory::Available;
 
 /// Frames of a log used in a build.
 #[derive(Clone)]
@@ -34,6 +34,25 @@ impl Default for BuildRun<'_> {
     fn default() -> Self {
         Self { resume: false, checkpoint_frames: 20, progress: &() }
     }
+}
+
+/// What a build needs at most: as if every point had a color and a voxel of its own.
+#[derive(Clone, Debug, PartialEq)]
+pub struct BuildNeeds {
+    /// Number of sweeps.
+    pub sweeps: usize,
+    /// Number of points, estimated from a frame of each log.
+    pub points: u64,
+    /// Size of the skeleton, bytes.
+    pub skeleton_bytes: u64,
+    /// Disk space during the build, bytes: the skeleton and intermediate files.
+    pub disk_bytes: u64,
+    /// Free disk space, bytes; `None` if the system does not say.
+    pub free_bytes: Option<u64>,
+    /// Memory beyond that of the opened logs, bytes: it does not depend on the number of frames.
+    pub memory_bytes: u64,
+    /// Available memory.
+    pub available: Available,
 }
 
 /// Progress callback of a long operation.

@@ -2,11 +2,14 @@
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
+use std::sync::Mutex;
 use std::time::Duration;
 
 use point_skeleton::cloud::Point;
 use point_skeleton::error::FileError;
-use point_skeleton::skeleton::{self, Asset, BuildError, BuildInput, BuildOptions, BuildRun, Skeleton};
+use point_skeleton::skeleton::{
+    self, Asset, BuildError, BuildInput, BuildNeeds, BuildOptions, BuildRun, Skeleton,
+};
 use serde_json::json;
 
 use crate::tiny_log::RunPskel as _;
@@ -236,4 +239,47 @@ fn frames_without_sweeps_are_reported() {
         &["frames with a LiDAR sweep, found none in 3 frames of tiny"],
     );
     assert!(!log.path("out/sk.partial").exists());
+}
+
+/// Notes what a build needs.
+#[derive(Default)]
+struct Noted(Mutex<Option<BuildNeeds>>);
+
+impl skeleton::Progress for Noted {
+    fn needs(&self, estimate: &dyn Fn() -> BuildNeeds) {
+        *self.0.lock().unwrap() = Some(estimate());
+    }
+
+    fn start(&self, _: &str, _: usize) {
+        assert!(self.0.lock().unwrap().is_some(), "needs are known before the work starts");
+    }
+
+    fn step(&self) {}
+}
+
+#[test]
+fn builds_need_at_most_what_they_say() {
+    let log = TinyLog::new();
+    let dataset = pskel::logs::open(&format!("nuscenes:{}", log.path("log").display()).parse().unwrap());
+    let (dataset, noted, out) = (dataset.unwrap(), Noted::default(), log.path("out/sk"));
+    let intermediate = |_: &[(&Asset, &[Point])]| {
+        let sizes = tree(&log.path("out/sk.partial")).into_iter();
+        let bytes: usize =
+            sizes.filter(|(name, _)| name.ends_with(".sums")).map(|(_, file)| file.len()).sum();
+        let needs = noted.0.lock().unwrap().clone().unwrap();
+        assert!(bytes > 0 && bytes as u64 <= needs.disk_bytes - needs.skeleton_bytes, "{bytes}: {needs:?}");
+        Ok(Vec::new())
+    };
+    let run = BuildRun { progress: &noted, ..BuildRun::default() };
+    let inputs = [BuildInput::all(dataset.reader())];
+    let built = skeleton::build(&out, &inputs, &BuildOptions::default(), &intermediate, &run).unwrap();
+    let (needs, report) = (noted.0.lock().unwrap().clone().unwrap(), &built.manifest.report);
+    assert_eq!(
+        (needs.sweeps, needs.points),
+        (report.sweeps, report.points_read as u64),
+        "all sweeps are alike"
+    );
+    let files = ["background.points", "actors.points"].map(|name| out.join(name).metadata().unwrap().len());
+    assert!(files.iter().sum::<u64>() <= needs.skeleton_bytes, "{files:?}: {needs:?}");
+    assert!(needs.free_bytes.is_some() && needs.memory_bytes > 100 << 20, "{needs:?}");
 }
