@@ -6,13 +6,13 @@
 The logs are synthetic towns with consecutive seeds, which share a location. They are written to --towns, unless they are
 there already. The first build runs through, the second one
 is killed at random moments (SIGKILL) and continued with --resume. Prints time, peak memory and peak disk space of the
-first one beside the estimate of the command, and exits with 1 if the skeletons differ or if an estimate is exceeded.
+first one beside the estimate of the command, and exits with 1 if the skeletons differ or if the disk space is exceeded.
 """
 
 import argparse
 import random
+import os
 import re
-import resource
 import shutil
 import subprocess
 import sys
@@ -68,18 +68,24 @@ class DiskPeak(threading.Thread):
 
 
 def whole_build(command, folder):
-    """Builds without interruption and prints its needs; returns the time, seconds, and whether the estimates hold."""
+    """Builds without interruption and prints its needs; returns the time, seconds, and whether the disk space sufficed."""
     folder.mkdir()
     disk, start = DiskPeak(folder), time.monotonic()
     disk.start()
-    done = subprocess.run(command, cwd=folder, capture_output=True, text=True)
+    with open(folder / "out.txt", "w+") as out, open(folder / "err.txt", "w+") as err:
+        process = subprocess.Popen(command, cwd=folder, stdout=out, stderr=err)
+        _, status, usage = os.wait4(process.pid, 0)
+        process.returncode = os.waitstatus_to_exitcode(status)
     seconds = time.monotonic() - start
     disk.ended.set()
-    if done.returncode != 0:
-        sys.exit(done.stderr)
-    memory = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss * 1024
-    points, disk_estimate, memory_estimate = estimates(done.stderr)
-    print(done.stdout.strip().splitlines()[-1][-300:])
+    said, errors = [(folder / name).read_text() for name in ("out.txt", "err.txt")]
+    for name in ("out.txt", "err.txt"):
+        (folder / name).unlink()
+    if process.returncode != 0:
+        sys.exit(errors)
+    memory = usage.ru_maxrss * 1024  # of this process alone
+    points, disk_estimate, memory_estimate = estimates(errors)
+    print(said.strip().splitlines()[-1][-300:])
     print(f"{seconds:.1f} s, {points / 1e6:.1f} million points; disk {disk.peak / 2**20:.0f} MiB (at most "
           f"{disk_estimate / 2**20:.0f}), {size_of(folder) / 2**20:.0f} at the end; memory {memory / 2**20:.0f} MiB "
           f"(at most {memory_estimate / 2**20:.0f} beyond the logs)")
