@@ -1,11 +1,11 @@
 //! Clouds in files that are read page by page.
 //!
 //! # How it works
-//! A file has the points of several clouds, one after the other, without a header. A page is [`PAGE`] consecutive
-//! points of a cloud; its last page may have fewer. A table in a second file has the checksum of each page, and
-//! bounds of its blocks ([`BLOCK`] points): what a camera may see is known before any point is read. Pages are
-//! read, not mapped: what is read through a mapping counts as memory of the process, and truncating a mapped
-//! file ends it.
+//! A file has the points of several clouds, one after the other, without a header. A page is [`PAGE`]
+//! consecutive points of a cloud; its last page may have fewer. A table in a second file has the checksum of
+//! each page, and bounds of its blocks ([`BLOCK`] points): what a camera may see is known before any point is
+//! read. Pages are read, not mapped: what is read through a mapping counts as memory of the process, and
+//! truncating a mapped file ends it.
 
 use std::fs::File;
 use std::io::{BufWriter, Write};
@@ -57,40 +57,30 @@ impl Page {
     }
 }
 
-/// Writer of a file of clouds and its table.
+/// Writer of clouds to a file, with its table.
 pub struct PagedWriter {
     path: PathBuf,
     points: BufWriter<File>,
     table_path: PathBuf,
     table: Vec<Page>,
-    /// Content of the last cloud so far.
-    cloud: CloudSummary,
+    /// Number of pages before the last cloud.
+    first_page: usize,
     /// Points of its last page, if it is not complete.
     rest: Vec<Point>,
+    /// Number and checksum of the points that were appended to it.
+    points_in_cloud: usize,
+    hasher: Hasher,
 }
 
 /// Number, bounds and checksum of a cloud's points.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CloudSummary {
     /// Number of points.
     pub points: usize,
     /// Bounds of the finite points, meters; `None` without any.
     pub bounds: Option<Bounds>,
-    hasher: Hasher,
-}
-
-impl CloudSummary {
-    fn add(&mut self, points: &[Point]) {
-        self.points += points.len();
-        let bounds = Bounds::of_finite(points);
-        self.bounds = self.bounds.map_or(bounds, |old| Some(bounds.map_or(old, |new| old.and(new))));
-        self.hasher.add(points);
-    }
-
-    /// Returns the checksum of the points.
-    pub fn xxh3(&self) -> Checksum {
-        self.hasher.checksum()
-    }
+    /// Of all points.
+    pub xxh3: Checksum,
 }
 
 impl PagedWriter {
@@ -101,8 +91,16 @@ impl PagedWriter {
     pub fn create(path: &Path, table: &Path) -> Result<Self, FileError> {
         let file = File::create(path).map_err(FileError::io("create", path))?;
         let points = BufWriter::with_capacity(1 << 20, file);
-        let (table_path, table, cloud, rest) = (table.to_owned(), Vec::new(), Default::default(), Vec::new());
-        Ok(Self { path: path.to_owned(), points, table_path, table, cloud, rest })
+        Ok(Self {
+            path: path.to_owned(),
+            points,
+            table_path: table.to_owned(),
+            table: Vec::new(),
+            first_page: 0,
+            rest: Vec::new(),
+            points_in_cloud: 0,
+            hasher: Hasher::default(),
+        })
     }
 
     /// Returns the part of the table for a cloud.
@@ -116,18 +114,42 @@ impl PagedWriter {
         &self.path
     }
 
+    /// Appends a cloud.
+    ///
+    /// # Errors
+    /// Fails if the file cannot be written.
+    pub fn add(&mut self, points: &[Point]) -> Result<(), FileError> {
+        self.write(points)?;
+        self.end_pages();
+        Ok(())
+    }
+
     /// Appends points to the last cloud, which [`PagedWriter::end`] ends.
     ///
     /// # Errors
     /// Fails if the file cannot be written.
     pub fn append(&mut self, points: &[Point]) -> Result<(), FileError> {
-        self.cloud.add(points);
+        self.points_in_cloud += points.len();
+        self.hasher.add(points);
+        self.write(points)
+    }
+
+    /// Ends a cloud of appended points; returns its summary.
+    pub fn end(&mut self) -> CloudSummary {
+        let first_page = self.first_page;
+        self.end_pages();
+        let blocks = self.table[first_page..].iter().flat_map(Page::blocks);
+        let (points, hasher) = (std::mem::take(&mut self.points_in_cloud), std::mem::take(&mut self.hasher));
+        CloudSummary { points, bounds: blocks.flatten().reduce(Bounds::and), xxh3: hasher.checksum() }
+    }
+
+    /// Writes points and their complete pages.
+    fn write(&mut self, points: &[Point]) -> Result<(), FileError> {
         let missing = if self.rest.is_empty() { 0 } else { PAGE - self.rest.len() };
         let (first, others) = points.split_at(missing.min(points.len()));
         self.rest.extend(first);
         if self.rest.len() == PAGE {
-            self.table.push(Page::of(&self.rest));
-            self.rest.clear();
+            self.end_page();
         }
         let (pages, rest) = others.split_at(others.len() / PAGE * PAGE);
         self.table.par_extend(pages.par_chunks(PAGE).map(Page::of));
@@ -135,22 +157,17 @@ impl PagedWriter {
         self.points.write_all(bytemuck::cast_slice(points)).map_err(FileError::io("write", &self.path))
     }
 
-    /// Ends a cloud; returns a summary of its points.
-    pub fn end(&mut self) -> CloudSummary {
+    /// Ends the last page of a cloud.
+    fn end_pages(&mut self) {
         if !self.rest.is_empty() {
-            self.table.push(Page::of(&self.rest));
-            self.rest.clear();
+            self.end_page();
         }
-        std::mem::take(&mut self.cloud)
+        self.first_page = self.table.len();
     }
 
-    /// Appends a whole cloud.
-    ///
-    /// # Errors
-    /// Fails if the file cannot be written.
-    pub fn add(&mut self, points: &[Point]) -> Result<CloudSummary, FileError> {
-        self.append(points)?;
-        Ok(self.end())
+    fn end_page(&mut self) {
+        self.table.push(Page::of(&self.rest));
+        self.rest.clear();
     }
 
     /// Writes all points that are still in memory.
@@ -330,7 +347,7 @@ mod tests {
 
     fn write(folder: &Path, clouds: &[Vec<Point>]) -> Checksum {
         let mut writer = PagedWriter::create(&folder.join("p"), &folder.join("t")).unwrap();
-        clouds.iter().for_each(|cloud| drop(writer.add(cloud).unwrap()));
+        clouds.iter().for_each(|cloud| writer.add(cloud).unwrap());
         writer.finish().unwrap()
     }
 
@@ -372,9 +389,8 @@ mod tests {
         let mut writer = PagedWriter::create(&points, &table).unwrap();
         for (cloud, size) in clouds.iter().zip([1500, PAGE, 3]) {
             cloud.chunks(size).for_each(|part| writer.append(part).unwrap());
-            let summary = writer.end();
-            assert_eq!((summary.points, summary.bounds), (cloud.len(), Bounds::of(cloud)));
-            assert_eq!(summary.xxh3(), Checksum::of(cloud));
+            let (bounds, xxh3) = (Bounds::of(cloud), Checksum::of(cloud));
+            assert_eq!(writer.end(), CloudSummary { points: cloud.len(), bounds, xxh3 });
         }
         assert_eq!(writer.finish().unwrap(), whole);
         let [bytes, parts] = folders.each_ref().map(|folder| std::fs::read(folder.path().join("p")).unwrap());

@@ -1,4 +1,5 @@
-//! Skeleton on disk: a folder with `skeleton.json`, three files of 16-byte points, and a table of pages for each.
+//! Skeleton on disk: a folder with `skeleton.json`, three files of 16-byte points, and a table of pages for
+//! each.
 //!
 //! # How it works
 //! Renderers read pages when they are seen ([`Skeleton::clouds`]). Whoever needs all points maps their file
@@ -97,7 +98,7 @@ impl SkeletonWriter {
     /// Fails if the file cannot be written.
     pub fn chunk(&mut self, chunk: Chunk, points: &[Point]) -> Result<(), FileError> {
         self.manifest.background.push(chunk);
-        self.background.add(points).map(drop)
+        self.background.add(points)
     }
 
     /// Adds the asset of a track.
@@ -106,7 +107,7 @@ impl SkeletonWriter {
     /// Fails if the file cannot be written.
     pub fn actor(&mut self, asset: Asset, points: &[Point]) -> Result<(), FileError> {
         self.manifest.actors.push(asset);
-        self.actors.add(points).map(drop)
+        self.actors.add(points)
     }
 
     /// Adds points to the next chunk, which [`SkeletonWriter::end_chunk`] adds.
@@ -118,7 +119,7 @@ impl SkeletonWriter {
     pub(super) fn end_chunk(&mut self, origin: [f64; 3]) {
         let cloud = self.background.end();
         let Some(bounds) = cloud.bounds else { return };
-        self.manifest.background.push(Chunk { origin, points: cloud.points, bounds, xxh3: cloud.xxh3() });
+        self.manifest.background.push(Chunk { origin, points: cloud.points, bounds, xxh3: cloud.xxh3 });
     }
 
     /// Adds points to the next asset, which [`SkeletonWriter::end_actor`] adds.
@@ -140,7 +141,7 @@ impl SkeletonWriter {
     /// Fails if the file cannot be written.
     pub fn template(&mut self, template: Template, points: &[Point]) -> Result<(), FileError> {
         self.manifest.templates.push(template);
-        self.templates.add(points).map(drop)
+        self.templates.add(points)
     }
 
     /// Generates templates from the assets written so far and adds them.
@@ -198,8 +199,8 @@ impl Skeleton {
         is_taken(&path.join(MANIFEST))
     }
 
-    /// Opens a skeleton's files and validates their sizes against the manifest, and the tables of pages. Points
-    /// are validated when they are read.
+    /// Opens a skeleton's files and validates their sizes against the manifest, and the tables of pages.
+    /// Points are validated when they are read.
     ///
     /// # Errors
     /// Fails if a file is missing or damaged, or has another format or version.
@@ -278,8 +279,8 @@ impl Skeleton {
         &self.path
     }
 
-    /// Returns all clouds for a rasterizer: background chunks, then assets, then templates. Their points are read
-    /// and validated when they are rendered.
+    /// Returns all clouds for a rasterizer: background chunks, then assets, then templates. Their points are
+    /// read and validated when they are rendered.
     pub fn clouds(&self) -> Vec<Cloud<'_>> {
         let files = [&self.background, &self.actors, &self.templates];
         files.into_iter().flat_map(|store| store.paged.clouds().map(Cloud::Stored)).collect()
@@ -309,8 +310,8 @@ impl Skeleton {
         self.templates.clouds(&self.manifest.templates)
     }
 
-    /// Validates all points now; returns one error for each chunk, asset and template that is damaged or cannot
-    /// be read.
+    /// Validates all points now; returns one error for each chunk, asset and template that is damaged or
+    /// cannot be read.
     pub fn damage(&self) -> Vec<FileError> {
         let files = [&self.background, &self.actors, &self.templates];
         let clouds: Vec<StoredCloud> = files.into_iter().flat_map(|store| store.paged.clouds()).collect();

@@ -133,7 +133,7 @@ impl Builder<'_> {
                         sweeps: self.done.track_sweeps.get(&part.cell).copied().unwrap_or(0),
                         points: cloud.points,
                         bounds,
-                        xxh3: cloud.xxh3(),
+                        xxh3: cloud.xxh3,
                     });
                 }
             }

@@ -52,7 +52,7 @@ fn street(folder: &Path, random: &mut Random, factor: u64) -> Street {
     let sizes = [9000, 20_000, 4096, 0, 14_000, 300, 17_000, 12_000].map(|size| size * factor);
     let points: Vec<Vec<Point>> = sizes.iter().map(|count| cloud(*count, random)).collect();
     let mut writer = PagedWriter::create(&folder.join("points"), &folder.join("pages")).unwrap();
-    points.iter().for_each(|points| drop(writer.add(points).unwrap()));
+    points.iter().for_each(|points| writer.add(points).unwrap());
     let xxh3 = writer.finish().unwrap();
     let clouds = points.iter().enumerate().map(|(i, points)| (format!("cloud {i}"), points.len()));
     let file = PagedFile::open(&folder.join("points"), &folder.join("pages"), clouds, xxh3).unwrap();
