@@ -1,7 +1,7 @@
 //! Names of variants: one trait for values of options, names in files, and error messages.
 //!
 //! # How it works
-//! [`named!`](crate::named!) states the name and the help of each variant of an enum once. The command line,
+//! [`named!`](crate::named!) states the name and the help of each variant in an enum once. The command line,
 //! serde and the Python package read them from there, so a new variant needs one row. Variants with data are
 //! listed with their default data.
 

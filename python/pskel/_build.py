@@ -80,7 +80,7 @@ def build(
         Side of the voxels in which points are merged, meters; 0 retains all points. By default 0.01, and 0 with
         ``coloring="every-camera"``.
     actor_voxel : float, optional
-        Side of the voxels of actors' points, meters; 0 retains all points. By default ``voxel``.
+        Side of the voxels for actors' points, meters; 0 retains all points. By default ``voxel``.
     every : int
         Use only every N-th frame.
     frames : (first, end), optional

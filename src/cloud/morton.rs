@@ -28,8 +28,8 @@ pub(crate) fn morton_order(points: &[Point], bounds: &Bounds) -> Option<Vec<u32>
     Some(keys.into_par_iter().map(|key| key as u32).collect())
 }
 
-/// Sorts points in Morton order, as renderers are fastest with. Points of one cell, of 1024 along the longest side
-/// of the bounds, keep their order.
+/// Sorts points in Morton order, as renderers are fastest with. Points of one cell, of 1024 along the longest
+/// side of the bounds, keep their order.
 pub fn sort_in_space(points: &mut Vec<Point>) {
     if let Some(order) = Bounds::of_finite(points).and_then(|bounds| morton_order(points, &bounds)) {
         *points = order.into_par_iter().map(|index| points[index as usize]).collect();

@@ -58,7 +58,7 @@ impl DepthBins {
         }
     }
 
-    /// Returns the bin of each depth of a map, in meters, as [`DepthBins::bin`] does.
+    /// Returns the bin of each depth in a map, in meters, as [`DepthBins::bin`] does.
     pub fn bins(&self, depth_m: &[f32]) -> Vec<u16> {
         match self.scale {
             // A loop of its own, which compiles to vectors.

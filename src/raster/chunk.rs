@@ -35,7 +35,7 @@ impl Extent {
 
 /// Bounds of a group's blocks, coordinate by coordinate.
 pub(super) struct GroupExtents {
-    /// Bounds of all of them; `None` if no point in them is ever drawn.
+    /// Bounds of all; `None` if no point in them is ever drawn.
     pub(super) all: Option<Extent>,
     center: [[f64; GROUP]; 3],
     half: [[f64; GROUP]; 3],
@@ -72,9 +72,9 @@ impl AsRef<Self> for ChunkedCloud<'_> {
     }
 }
 
-/// A cloud in the order of its chunks, which is its own, unless that of points in memory is not in space: chunks
-/// of points that are near each other can be culled. Bounds exclude points with non-finite positions, which are
-/// never drawn.
+/// A cloud in the order of its chunks, which is its own, unless that of points in memory is not in space:
+/// chunks of points that are near each other can be culled. Bounds exclude points with non-finite positions,
+/// which are never drawn.
 pub(super) struct ChunkedCloud<'a> {
     pub(super) cloud: Cloud<'a>,
     /// Cloud index of each point in chunk order, padded to whole runs of [`RUN`]; `None` for the cloud's own

@@ -37,12 +37,13 @@ pub struct RasterizerDesc {
     /// Part of the device's name, or its index; by default the environment variable `PSKEL_DEVICE`, then
     /// the best device.
     pub device: Option<String>,
-    /// Memory budget for points on the device, bytes (`compute`: 20 per point, `graphics`: 16); points beyond it are
-    /// streamed. `None` for no limit, and for [`DEFAULT_MEMORY_BYTES`](super::DEFAULT_MEMORY_BYTES) on a device that is the host's processor. The
-    /// `cpu` rasterizer ignores it.
+    /// Memory budget for points on the device, bytes (`compute`: 20 per point, `graphics`: 16); points beyond
+    /// it are streamed. `None` for no limit, and for [`DEFAULT_MEMORY_BYTES`](super::DEFAULT_MEMORY_BYTES) on
+    /// a device that is the host's processor. The `cpu` rasterizer ignores it.
     pub memory_bytes: Option<u64>,
-    /// Memory budget for points of the `cpu` rasterizer, bytes (17 per point); points beyond it are streamed. `None`
-    /// for [`DEFAULT_MEMORY_BYTES`](super::DEFAULT_MEMORY_BYTES), or what a single frame needs if that is more.
+    /// Memory budget for points of the `cpu` rasterizer, bytes (17 per point); points beyond it are streamed.
+    /// `None` for [`DEFAULT_MEMORY_BYTES`](super::DEFAULT_MEMORY_BYTES), or what a single frame needs if that
+    /// is more.
     pub host_memory_bytes: Option<u64>,
     /// Whether the `cpu` rasterizer skips points that nearer ones hide. The maps do not depend on it.
     pub occlusion_culling: bool,
@@ -81,7 +82,8 @@ impl From<RasterizerKind> for RasterizerDesc {
     }
 }
 
-/// Creates a rasterizer of these clouds, whose points are loaded when they may be seen. `PSKEL_VALIDATION=1` turns on validation.
+/// Creates a rasterizer of these clouds, whose points are loaded when they may be seen. `PSKEL_VALIDATION=1`
+/// turns on validation.
 ///
 /// # Errors
 /// Fails if there is no device (never for [`RasterizerKind::Cpu`], and not for [`RasterizerKind::Auto`] if

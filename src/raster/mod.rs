@@ -1,11 +1,12 @@
 //! The splat rasterizers: one interface, implementations with identical output.
 //!
 //! # How it works
-//! A rasterizer is created once from all clouds of a scene ([`CloudSet`]). Their chunks are loaded when a camera
-//! may see them, and stay while memory lasts (`residency`). Per frame and view only the camera and the [`Instance`]s (posed clouds) change. [`Draw`]s contain their poses
-//! and projections as `f32` matrices multiplied out in `f64`. `cpu` and `graphics` cull whole instances by
-//! bounds ([`draws_from_job`]), `compute` culls parts of them. All do the same `f32` operations in the same
-//! order, so the maps agree to the pixel.
+//! A rasterizer is created once from all clouds of a scene ([`CloudSet`]). Their chunks are loaded when a
+//! camera may see them, and stay while memory lasts (`residency`). Per frame and view only the camera and the
+//! [`Instance`]s (posed clouds) change. [`Draw`]s contain their poses and projections as `f32` matrices
+//! multiplied out in `f64`. `cpu` and `graphics` cull whole instances by bounds ([`draws_from_job`]),
+//! `compute` culls parts of them. All do the same `f32` operations in the same order, so the maps agree to
+//! the pixel.
 //!
 //! ```
 //! use point_skeleton::raster::{Instance, MapSet, RasterizerKind, SplatJob, SplatSchedule, create};
@@ -88,8 +89,8 @@ pub enum RasterError {
     },
     /// What a single frame shows does not fit into the memory budget for points.
     #[error(
-        "the cameras of a frame may see points of {} MiB, but {} MiB are allowed ({option}): allow more, or render \
-            less far or fewer cameras",
+        "the cameras of a frame may see points of {} MiB, but {} MiB are allowed ({option}): allow more, or \
+            render less far or fewer cameras",
         needed_bytes.div_ceil(1 << 20), allowed_bytes >> 20
     )]
     PointBudget {

@@ -20,8 +20,8 @@ pub(super) struct SeenInstance {
     pub(super) geometry_points: u32,
 }
 
-/// Returns the instances of a frame that a camera may see, in order. The others do not contribute to the maps, but
-/// their points are counted.
+/// Returns the instances of a frame that a camera may see, in order. The others do not contribute to the
+/// maps, but their points are counted.
 ///
 /// # Errors
 /// Fails for an unknown cloud, and for more than 2³² − 2 points.

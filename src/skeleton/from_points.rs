@@ -38,7 +38,8 @@ pub struct AssetPoints {
 
 impl Skeleton {
     /// Writes a skeleton of colored points from another source to a folder, under the name of a log. An
-    /// existing skeleton is replaced. Points of a chunk of the background and of an asset are sorted in space.
+    /// existing skeleton is replaced. Points of background chunks and of assets are sorted in
+    /// space.
     ///
     /// # Errors
     /// Fails if there is no background point, if a track occurs twice, if a position or size is beyond the

@@ -25,7 +25,7 @@ pub struct Manifest {
     pub options: BuildOptions,
     /// Counts of the build: points used and dropped.
     pub report: BuildReport,
-    /// Checksums of the tables of pages.
+    /// Checksums of the page tables.
     pub pages: PageChecksums,
     /// Chunks of the static background, in `background.points`.
     pub background: Vec<Chunk>,
@@ -142,7 +142,7 @@ impl Default for Manifest {
     }
 }
 
-/// Checksums of the tables of pages (see [`paged`](crate::cloud::paged)), by the file of their points.
+/// Checksums of the page tables (see [`paged`](crate::cloud::paged)), by the file of their points.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct PageChecksums {
     /// Of `background.pages`.

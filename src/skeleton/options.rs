@@ -67,7 +67,7 @@ impl BuildOptions {
         side_m == 0.0 || (1e-4..=CHUNK_M).contains(&side_m)
     }
 
-    /// Returns the defaults of a method of coloring.
+    /// Returns the defaults for a method of coloring.
     pub fn of(coloring: Coloring) -> Self {
         match coloring {
             Coloring::Agreed => Self::default(),

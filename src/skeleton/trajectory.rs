@@ -11,7 +11,7 @@ pub struct Trajectories(Vec<Vec<(i64, Cuboid)>>);
 const CARRY_ON_US: i64 = 150_000;
 
 impl Trajectories {
-    /// Collects a log's tracks from the boxes of some of its frames, in time order.
+    /// Collects a log's tracks from the boxes in some of its frames, in time order.
     pub fn new(log: &Recording, frames: &[&Frame]) -> Self {
         let mut tracks = vec![Vec::new(); log.tracks.len()];
         for frame in frames {

@@ -106,8 +106,8 @@ fn describe(needs: &BuildNeeds) -> (String, Option<String>) {
     let available = needs.available.bytes;
     let free = free_bytes.map_or_else(|| "unknown".to_owned(), |free| Bytes(free).to_string());
     let text = format!(
-        "about {:.1} million points in {sweeps} sweeps: at most {} of disk while building ({free} free), {} at the \
-         end; {} of memory ({} available)",
+        "about {:.1} million points in {sweeps} sweeps: at most {} of disk while building ({free} free), \
+         {} at the end; {} of memory ({} available)",
         points as f64 / 1e6,
         Bytes(disk_bytes),
         Bytes(needs.skeleton_bytes),
@@ -188,8 +188,8 @@ mod tests {
             available,
         };
         let (text, warning) = describe(&needs);
-        let expected = "about 10.6 million points in 160 sweeps: at most 1.5 GiB of disk while building (2.0 GiB free), \
-                        128.0 MiB at the end; 1.0 GiB of memory (4.0 GiB available)";
+        let expected = "about 10.6 million points in 160 sweeps: at most 1.5 GiB of disk while building \
+                        (2.0 GiB free), 128.0 MiB at the end; 1.0 GiB of memory (4.0 GiB available)";
         assert_eq!((text.as_str(), warning), (expected, None));
         let warning = |needs: BuildNeeds| describe(&needs).1.unwrap_or_default();
         let full = warning(BuildNeeds { free_bytes: Some(1 << 30), ..needs.clone() });

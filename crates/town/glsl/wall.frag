@@ -40,7 +40,7 @@ vec3 bricks(Sample s, vec2 uv) {
     return color * (1.0 + 0.26 * stains + 0.25 * (noise(uv * 90.0, 63u) - 0.5) * detail(s, 0.02));
 }
 
-// Returns the color of rows of tiles in rgb, and the tilt of the normal along uv.x in w.
+// Returns the color of tile rows in rgb, and the tilt of the normal along uv.x in w.
 vec4 tiles(Sample s, vec2 uv) {
     vec2 size = vec2(0.24, 0.32);
     vec2 tile = uv / size;

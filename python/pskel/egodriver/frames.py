@@ -13,7 +13,7 @@ from pskel.alpasim.poses import Matrix
 
 from .driver import DriverError
 
-#: Largest number of poses of a plan.
+#: Largest number of poses in a plan.
 MAX_POSES = 10_000
 
 

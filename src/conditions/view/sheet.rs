@@ -4,8 +4,8 @@
 //! Each map is a block with a title and a legend. In it, the cameras of a known surround rig are arranged by
 //! direction (front left, front, front right above back left, back, back right); other cameras are in rows of
 //! three. Classes and numbers are shown as colors over the depth in dark gray. Tiles are scaled down to at
-//! most [`TILE_WIDTH_PX`], twice that if there is only one column: a sheet is an overview, and the maps themselves
-//! are beside it.
+//! most [`TILE_WIDTH_PX`], twice that if there is only one column: a sheet is an overview, and the maps
+//! themselves are beside it.
 
 use std::borrow::Cow;
 use std::cell::OnceCell;

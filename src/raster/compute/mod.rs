@@ -13,8 +13,9 @@
 //! (`slot`), so the next frame can be begun meanwhile. Only streaming, and views that do not fit into one
 //! batch ("part"), take several submits.
 //!
-//! Chunks are loaded when a camera may see them. If the memory budget is used up, the least recently drawn ones are
-//! evicted (`residency`): positions even within a frame, while the colors of all that a frame may show stay.
+//! Chunks are loaded when a camera may see them. If the memory budget is used up, the least recently drawn
+//! ones are evicted (`residency`): positions even within a frame, while the colors of all that a frame may
+//! show stay.
 //!
 //! # What was measured
 //! On lavapipe, 4 million points, in ms: workgroups of eight neighboring points instead of 64 took project
@@ -71,8 +72,8 @@ use crate::gpu::{Commands, Device, GpuError, PendingSubmit};
 /// on it.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct ComputeRasterizerDesc {
-    /// Memory budget for points on the device, bytes (20 per point); beyond it points are streamed. `None` for no
-    /// limit, and for [`DEFAULT_MEMORY_BYTES`] on a device that is the host's processor.
+    /// Memory budget for points on the device, bytes (20 per point); beyond it points are streamed. `None`
+    /// for no limit, and for [`DEFAULT_MEMORY_BYTES`] on a device that is the host's processor.
     pub memory_bytes: Option<u64>,
     /// Maximum number of 4096-point chunks per image.
     pub page_rows: Option<u32>,

@@ -133,7 +133,7 @@ impl BatchPlan {
             let chunks = joined(&seen_blocks(&clouds[instance.cloud], &draw, shown, pad, z_far_m));
             (ProjectDraw::new(&draw, band as u32, numbered.layered.layers), instance.cloud as u32, chunks)
         };
-        // Clouds differ in size: several jobs per thread, but not one for each of hundreds of small actors.
+        // Clouds differ in size: several jobs per thread, but not hundreds for small actors.
         let each = pairs.len().div_ceil(JOBS_PER_THREAD * rayon::current_num_threads());
         let seen: Vec<_> = pairs.par_iter().with_min_len(each).map(seen).collect();
         for (draw, cloud, chunks) in seen.into_iter().filter(|(_, _, chunks)| !chunks.is_empty()) {

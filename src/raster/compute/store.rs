@@ -54,8 +54,8 @@ pub(super) struct StoreLimits {
 }
 
 impl Store {
-    /// Creates images for some clouds, without loading their points. Returns the residency of positions and of
-    /// colors.
+    /// Creates images for some clouds, without loading their points. Returns the residency of positions and
+    /// of colors.
     ///
     /// # Errors
     /// Fails on any device error, or if the memory budget is too small.
@@ -124,9 +124,9 @@ impl Store {
     }
 }
 
-/// Returns the number of chunks whose positions, and of those whose colors, fit into the budget. Positions can be
-/// streamed within a frame, colors cannot: they take half of the budget, which is four times as many as positions, or
-/// up to three quarters if all of them fit then.
+/// Returns the number of chunks whose positions, and of those whose colors, fit into the budget. Positions
+/// can be streamed within a frame, colors cannot: they take half of the budget, which is four times as many
+/// as positions, or up to three quarters if all of them fit then.
 fn rows_within(device: &Device, chunks: u64, limits: StoreLimits) -> Result<[u64; 2], GpuError> {
     let Some(bytes) = limits.bytes.filter(|b| *b < chunks * (ROW_BYTES + COLOR_ROW_BYTES)) else {
         return Ok([chunks; 2]);

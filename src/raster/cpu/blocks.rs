@@ -203,7 +203,7 @@ impl<'b> Block<'b> {
         }
     }
 
-    /// Returns the index of each point of a group in the cloud; `None` if the order is the cloud's own.
+    /// Returns the cloud index of each point in a group; `None` if the order is the cloud's own.
     #[inline(always)]
     fn index(self, group: usize) -> Option<&'b [u32; GROUP]> {
         let groups: &[[u32; GROUP]] = bytemuck::cast_slice(self.draw.numbered.cloud.chunked.order()?);

@@ -1,11 +1,11 @@
 //! The rasterizer for processors: vector code and threads, without a driver.
 //!
 //! # How it works
-//! Points are stored in blocks, coordinate by coordinate (`packed`), in huge pages (`memory`). The chunks that a
-//! camera may see are loaded before a frame, and others stay while memory lasts (`chunks`, `arena`). A frame is cut
-//! into row strips (`strips`), which are rendered independently of each other (`task`): a thread finds where
-//! the blocks of a strip may fall (`footprint`), tests them and then their groups against what is already
-//! drawn (`hidden`) and draws the others nearest first into visibility buffers (`blocks`, `project`,
+//! Points are stored in blocks, coordinate by coordinate (`packed`), in huge pages (`memory`). The chunks
+//! that a camera may see are loaded before a frame, and others stay while memory lasts (`chunks`, `arena`). A
+//! frame is cut into row strips (`strips`), which are rendered independently of each other (`task`): a thread
+//! finds where the blocks of a strip may fall (`footprint`), tests them and then their groups against what is
+//! already drawn (`hidden`) and draws the others nearest first into visibility buffers (`blocks`, `project`,
 //! `window`), finds the visible point of each pixel (`dilate`) and writes the maps (`resolve`). Each point
 //! draws only its own pixel, as in the compute rasterizer: the least of 64-bit keys, point by point. The
 //! loops over pixels compare depths first, and numbers of points on ties, both of 32 bits.
@@ -57,8 +57,8 @@ use crate::geometry::ImageSize;
 pub struct CpuRasterizerDesc {
     /// Whether groups of points are skipped that what is already drawn hides.
     pub occlusion_culling: bool,
-    /// Memory budget for points, bytes (17 per point). `None` for [`DEFAULT_MEMORY_BYTES`](super::DEFAULT_MEMORY_BYTES), or what a single frame
-    /// needs if that is more.
+    /// Memory budget for points, bytes (17 per point). `None` for
+    /// [`DEFAULT_MEMORY_BYTES`](super::DEFAULT_MEMORY_BYTES), or what a single frame needs if that is more.
     pub memory_bytes: Option<u64>,
 }
 

@@ -1,8 +1,9 @@
-//! Points of the graphics-pipeline rasterizer: the chunks that a camera may see, in rows of a few large buffers.
+//! Points of the graphics-pipeline rasterizer: the chunks that a camera may see, in rows of a few large
+//! buffers.
 //!
-//! A page is a buffer as large as a shader can bind. A piece is a run of consecutive chunks in consecutive rows of one
-//! page, drawn with the pose of one instance. Pieces are drawn in the order of their points, so the smallest number
-//! still wins ties.
+//! A page is a buffer as large as a shader can bind. A piece is a run of consecutive chunks in consecutive
+//! rows of one page, drawn with the pose of one instance. Pieces are drawn in the order of their points, so
+//! the smallest number still wins ties.
 
 use std::sync::Arc;
 
@@ -89,8 +90,8 @@ pub(super) struct Pages {
 }
 
 impl Pages {
-    /// Prepares pages for some clouds, without loading them. `memory_bytes` is the budget for points, `page_points`
-    /// limits the size of a page; the device may limit it further.
+    /// Prepares pages for some clouds, without loading them. `memory_bytes` is the budget for points,
+    /// `page_points` limits the size of a page; the device may limit it further.
     pub(super) fn new(
         device: &Device,
         clouds: &[ChunkedCloud<'_>],
@@ -184,8 +185,8 @@ impl Pages {
         Ok(())
     }
 
-    /// Returns the pieces to draw for a job, in order, and the table for resolving its pixels. `chunks` are those
-    /// that a camera may see, in order, all of them loaded.
+    /// Returns the pieces to draw for a job, in order, and the table for resolving its pixels. `chunks` are
+    /// those that a camera may see, in order, all of them loaded.
     pub(super) fn pieces(
         &self,
         draws: &[Draw],
@@ -236,8 +237,8 @@ fn page(device: &Arc<Device>, layout: &PipelineLayout, rows: u64) -> Result<Page
     Ok(Page { points, set })
 }
 
-/// Joins chunks of a cloud in consecutive rows of a page. `rows` contains the chunk, row and number of points of
-/// each.
+/// Joins chunks of a cloud in consecutive rows of a page. `rows` contains the chunk, row and number of points
+/// of each.
 fn slices(rows: impl Iterator<Item = (u32, u32, u32)>, page_rows: u32) -> Vec<Slice> {
     let mut slices: Vec<Slice> = Vec::new();
     for (chunk, row, count) in rows {

@@ -1,8 +1,9 @@
 //! Blocks of sums, as runs store them.
 //!
 //! # How it works
-//! Most bytes of a sum are zero, or those of the sum before. So keys are replaced by their differences, the bytes of
-//! a block are ordered by their place in a sum, and the result is compressed. A sum of 64 bytes then takes about 18.
+//! Most bytes of a sum are zero, or those of the sum before. So keys are replaced by their differences, the
+//! bytes of a block are ordered by their place in a sum, and the result is compressed. A sum of 64 bytes then
+//! takes about 18.
 
 use bytemuck::Zeroable;
 
@@ -89,7 +90,9 @@ mod tests {
         ) {
             let numbered = (0..).zip(&points);
             let voxels = Voxels { side_m };
-            let sum = |(i, (x, y, grey)): (u64, &(f64, f64, u8))| voxels.sum(DVec3::new(*x, *y, -0.5), [*grey; 3], i << 32);
+            let sum = |(i, (x, y, grey)): (u64, &(f64, f64, u8))| {
+                voxels.sum(DVec3::new(*x, *y, -0.5), [*grey; 3], i << 32)
+            };
             let sums = merge(numbered.map(sum).collect());
             prop_assert_eq!(decode(&encode(&sums), sums.len()), Some(sums));
         }

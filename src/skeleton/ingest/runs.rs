@@ -1,11 +1,11 @@
 //! Intermediate files with the sums of some frames, cell by cell.
 //!
 //! # How it works
-//! When enough points are in memory, their cells are written as a *run*: a file of compressed blocks of sums, and its
-//! index. Runs are immutable. When the list ends with [`FAN_IN`] runs of one level, they are merged into one of the
-//! next level, as in log-structured merge trees. There are thus few runs, and each point is rewritten few times.
-//! Cells are merged in parts of limited size, a few at a time, so the memory for merging depends neither on the
-//! length of logs nor on their number.
+//! When enough points are in memory, their cells are written as a *run*: a file of compressed blocks of sums,
+//! and its index. Runs are immutable. When the list ends with [`FAN_IN`] runs of one level, they are merged
+//! into one of the next level, as in log-structured merge trees. There are thus few runs, and each point is
+//! rewritten few times. Cells are merged in parts of limited size, a few at a time, so the memory for merging
+//! depends neither on the length of logs nor on their number.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs::File;
@@ -31,7 +31,7 @@ const FAN_IN: usize = 8;
 const LAST_LEVEL: usize = 2;
 /// Number of runs, as they were first written, that are merged at once at most.
 pub(super) const MERGED_AT_ONCE: usize = FAN_IN.pow(LAST_LEVEL as u32);
-/// Number of sums of a part from which on a cell is split.
+/// Maximum number of sums in a part: larger cells are split.
 pub(super) const PART: usize = 1 << 19;
 
 /// Number and level of a run.
@@ -192,8 +192,8 @@ impl Runs {
         parts
     }
 
-    /// Passes what `map` makes of the merged sums of each part to `take`, in the order of the list. Merges a few
-    /// parts in parallel, while `take` runs on this thread for the previous ones.
+    /// Passes what `map` makes of the merged sums of each part to `take`, in the order of the list. Merges a
+    /// few parts in parallel, while `take` runs on this thread for the previous ones.
     ///
     /// # Errors
     /// Fails if a run cannot be read or is damaged. Returns any error of `take`.

@@ -76,8 +76,8 @@ impl<'a> Stream<'a> {
         frame.sweeps.iter().filter(move |sweep| sweep.is_key || between)
     }
 
-    /// Returns the mean number of points in the sweeps of a frame, the first one that has sweeps; 0 if none can
-    /// be read.
+    /// Returns the mean number of points in the sweeps of a frame, the first one that has sweeps; 0 if none
+    /// can be read.
     pub(super) fn points_of_a_sweep(&self) -> u64 {
         let first = self.frames.iter().find(|frame| self.sweeps(frame).next().is_some());
         let sweeps: Vec<&SweepRecord> = first.iter().flat_map(|frame| self.sweeps(frame)).collect();
@@ -87,7 +87,8 @@ impl<'a> Stream<'a> {
         (points / sweeps.len().max(1)) as u64
     }
 
-    /// Returns the memory of the window that moves along the log, bytes, for some number of points in a sweep.
+    /// Returns the memory of the window that moves along the log, bytes, for some number of points in a
+    /// sweep.
     pub(super) fn window_bytes(&self, points: u64) -> u64 {
         let [color, hide] = self.windows();
         let most =

@@ -27,7 +27,7 @@ pub(in super::super) struct SweepCloud {
     /// Points of each track in its box frame.
     pub(in super::super) actors: BTreeMap<usize, Vec<Candidate>>,
     pub(in super::super) read: usize,
-    /// Of the blocks of each part, if its points are sorted in space.
+    /// By part, of its blocks, if its points are sorted in space.
     pub(in super::super) corners: BTreeMap<Option<usize>, Vec<Corners>>,
     /// Points with NaN, infinite or impossible coordinates.
     pub(in super::super) not_finite: usize,

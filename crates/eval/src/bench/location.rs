@@ -13,7 +13,7 @@ use point_skeleton::skeleton::{
 
 use super::street::{HALF_LENGTH_M, street_cloud, street_views};
 
-/// Maximum number of points of a street.
+/// Maximum number of points in a street.
 const STREET_POINTS: usize = 10_000_000;
 /// Distance between parallel streets, meters.
 const BLOCK_M: f64 = 100.0;
@@ -64,8 +64,8 @@ impl Streets {
     }
 }
 
-/// Opens a location with at least some number of points, or writes it to a folder if there is none. All streets have
-/// the same points, those of [`street_cloud`].
+/// Opens a location with at least some number of points, or writes it to a folder if there is none. All
+/// streets have the same points, those of [`street_cloud`].
 ///
 /// # Errors
 /// Fails if the folder has something else, or cannot be written.
@@ -116,7 +116,7 @@ fn chunks(points: usize) -> Vec<(DVec3, Chunk, Vec<Point>)> {
     chunks.into_iter().filter_map(chunk).collect()
 }
 
-/// Returns the name and the cameras of each frame of a drive through a location with some number of points.
+/// Returns the name and the cameras of each frame on a drive through a location with some number of points.
 pub(super) fn drive(points: usize) -> Vec<(String, Vec<View>)> {
     let frame = |(step, ego): (usize, DVec3)| {
         let at = DAffine3::from_translation(-ego);

@@ -1,10 +1,10 @@
 //! Throughput of rendering: time per frame and per stage, points per second, peak memory.
 //!
 //! # How it works
-//! A [`Workload`] holds clouds and the frames to render: a synthetic street, a location of many on disk, a cloud
-//! with cameras, or frames of a log with its skeleton. [`bench`](fn@bench) renders them in turn, only with the rasterizer or as whole
-//! steps (`frames`), and times them (`measure`). [`BenchResult`] has the statistics and writes a trace of all
-//! frames (`trace`).
+//! A [`Workload`] holds clouds and the frames to render: a synthetic street, a location of many on disk, a
+//! cloud with cameras, or frames of a log with its skeleton. [`bench`](fn@bench) renders them in turn, only
+//! with the rasterizer or as whole steps (`frames`), and times them (`measure`). [`BenchResult`] has the
+//! statistics and writes a trace of all frames (`trace`).
 
 mod frames;
 mod location;

@@ -48,7 +48,7 @@ pub enum BenchError {
     NoFrames {
         /// End of the frames.
         found: usize,
-        /// Number of frames of the drive.
+        /// Number of frames in the drive.
         frames: usize,
     },
     /// No frame has cameras.

@@ -70,9 +70,9 @@ impl Workload {
         Self { content, frames: vec![frame], non_finite, skipped: 0 }
     }
 
-    /// Opens a location of many streets in a folder, or writes it if there is none: at least `points` points, 10
-    /// million per street. The frames, a part of a drive of up to 1 km, are 1 m apart and have the cameras of the
-    /// street. `None` is the whole drive.
+    /// Opens a location of many streets in a folder, or writes it if there is none: at least `points` points,
+    /// 10 million per street. The frames, part of a drive up to 1 km long, are 1 m apart and have the cameras
+    /// of the street. `None` is the whole drive.
     ///
     /// # Errors
     /// Fails if the folder has another skeleton or cannot be written, or if the drive has no such frames.

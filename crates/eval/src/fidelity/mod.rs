@@ -35,7 +35,7 @@ pub enum FidelitySource<'a> {
 pub struct FidelityFrames {
     /// First frame, and the one after the last.
     pub range: Range<usize>,
-    /// Only every N-th frame, N - 1, 2 N - 1, ..: those between the frames of a skeleton of every N-th frame.
+    /// Only every N-th frame, N - 1, 2 N - 1, ..: those between the frames if a skeleton has every N-th.
     pub hold_out: Option<usize>,
 }
 

@@ -91,7 +91,7 @@ impl Resize {
     }
 }
 
-/// Returns the two neighbors of a pixel of the doubled line, within a line of `count` pixels, and their
+/// Returns a pixel's two neighbors in the doubled line, within a line of `count` pixels, and their
 /// shares: the nearer and the other one.
 pub(in super::super) fn neighbors(place: usize, count: usize) -> [(usize, f32); 2] {
     let nearer = place / 2;

@@ -15,13 +15,13 @@ pub(crate) struct RasterizerArgs {
     /// $PSKEL_DEVICE, else the fastest]
     #[arg(long, value_name = "DEVICE")]
     pub(crate) device: Option<String>,
-    /// Device memory for points, MiB: 20 bytes per point with compute, 16 with graphics. Points that a camera may see
-    /// are loaded, and the least recently seen ones evicted. Keys and maps need additional memory [default: as much
-    /// as needed, 2048 on drivers that run on the processor]
+    /// Device memory for points, MiB: 20 bytes per point with compute, 16 with graphics. Points that a camera
+    /// may see are loaded, and the least recently seen ones evicted. Keys and maps need additional memory
+    /// [default: as much as needed, 2048 on drivers that run on the processor]
     #[arg(long, value_name = "MIB")]
     pub(crate) gpu_memory: Option<u32>,
-    /// Memory for points, MiB, 17 bytes per point (cpu only). Points that a camera may see are loaded, and the least
-    /// recently seen ones evicted [default: 2048, or what a frame needs if that is more]
+    /// Memory for points, MiB, 17 bytes per point (cpu only). Points that a camera may see are loaded, and
+    /// the least recently seen ones evicted [default: 2048, or what a frame needs if that is more]
     #[arg(long, value_name = "MIB")]
     pub(crate) memory: Option<u32>,
     /// Also draw hidden points, to measure the effect of occlusion culling (cpu only)

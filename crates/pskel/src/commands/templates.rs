@@ -34,7 +34,7 @@ pub(crate) struct TemplatesArgs {
     targets: Vec<Target>,
     #[command(flatten)]
     folder: FolderArgs,
-    /// Approximate number of points of a template whose box is fully covered
+    /// Approximate number of points in a template whose box is fully covered
     #[arg(long, value_name = "N", default_value_t = TemplateOptions::default().target_points)]
     target_points: usize,
     /// Omit templates with fewer points

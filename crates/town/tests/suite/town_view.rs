@@ -281,7 +281,7 @@ fn the_sun_casts_shadows() {
     });
 }
 
-/// Returns a digest of images of the whole scene, which must be equal in every process.
+/// Returns a digest of images that show the whole scene, which must be equal in every process.
 fn digest() -> String {
     let (meshes, draws) = scene();
     let views = [0.0, 1.2, 3.0].map(|yaw| view([45, 80], 60.0, DVec3::new(0.0, 0.4, 1.4), [yaw, 0.05, 0.0]));

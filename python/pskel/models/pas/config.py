@@ -12,7 +12,7 @@ from typing import Any, ClassVar, TypeVar
 __all__ = ["AdapterConfig", "Config", "ID_CHANNELS"]
 
 ID_CHANNELS = 256
-"""Channels of the sinusoidal embedding of each number of ``added_time_ids``."""
+"""Channels of the sinusoidal embedding for each number of ``added_time_ids``."""
 
 
 def _expect_positive(config: Config | AdapterConfig) -> None:

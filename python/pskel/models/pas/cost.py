@@ -31,7 +31,7 @@ class Cost:
 
     parameters: int
     call_operations: int
-    """Of one evaluation of a window whose conditions are encoded."""
+    """For one evaluation of a window whose conditions are encoded."""
     frame_operations: int
     """Of the adapters and projections, for one new frame."""
     frame_bytes: int

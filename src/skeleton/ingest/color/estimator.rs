@@ -48,7 +48,7 @@ pub(crate) struct ColorSample {
 /// Number of points whose colors are estimated at once.
 pub(crate) const LANES: usize = 16;
 
-/// A sample of each of some points. A sample without weight, as of a point with fewer samples than others,
+/// A sample for each of some points. A sample without weight, as of a point with fewer samples than others,
 /// changes nothing.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct LaneSamples {
@@ -144,8 +144,8 @@ fn column_sums<const ROWS: usize>(levels: &[u8], first: usize, row: usize) -> Op
     Some(sums)
 }
 
-/// Returns the mean color over a square of `SIDE` pixels from sums over its columns. Not inlined: the compiler
-/// would otherwise sum up each channel level by level, without vectors, in twice the time.
+/// Returns the mean color over a square of `SIDE` pixels from sums over its columns. Not inlined: the
+/// compiler would otherwise sum up each channel level by level, without vectors, in twice the time.
 #[inline(never)]
 fn mean_of_columns<const SIDE: usize>(sums: &[u16]) -> [u8; 3] {
     let mut sum = [0_u32; 3];
@@ -171,9 +171,9 @@ fn clipped_mean(levels: &[u8], [width, height]: [usize; 2], [x, y]: [usize; 2], 
     sum.map(|sum| ((sum + count / 2) / count.max(1)) as u8)
 }
 
-/// Returns the color on which the samples of each point agree: their mean, weighted by
-/// `1 / (1 + (d / TOLERANCE)²)`, where `d` is the difference of a sample from the mean. Meaningless for points
-/// without samples.
+/// Returns the color on which the samples of each point agree: their mean, weighted by `1 / (1 + (d /
+/// TOLERANCE)²)`, where `d` is the difference of a sample from the mean. Meaningless for points without
+/// samples.
 #[inline(always)] // into loops that are compiled for wide vectors
 pub(crate) fn agreed_colors(samples: &[LaneSamples]) -> [[u8; 3]; LANES] {
     let mut color = weighted_means(samples, |_, _| 1.0);
@@ -186,8 +186,8 @@ pub(crate) fn agreed_colors(samples: &[LaneSamples]) -> [[u8; 3]; LANES] {
     std::array::from_fn(|lane| color.map(|levels| (levels[lane] + 0.5) as u8))
 }
 
-/// Returns `difference / TOLERANCE` to the last bit, in a third of the time of a division: the quotient is corrected
-/// by its exact remainder.
+/// Returns `difference / TOLERANCE` to the last bit, in a third of a division's time: the quotient is
+/// corrected by its exact remainder.
 #[inline(always)]
 fn per_tolerance(difference: f32) -> f32 {
     const INVERSE: f32 = 1.0 / TOLERANCE;

@@ -11,7 +11,7 @@ use crate::vectors::wide;
 /// Number of points per job.
 const JOB: usize = 1024;
 
-/// Colors the points of a sweep taken at `t_us`. `place` returns the pose of one of its parts at a time.
+/// Colors the points of a sweep taken at `t_us`. `place` returns the pose that a part has at a time.
 pub(in super::super) fn sweep(
     cloud: &mut SweepCloud,
     t_us: i64,
@@ -63,9 +63,9 @@ fn color_jobs(points: &mut [Candidate], views: &[(&ColorView, Projector)], hidde
 struct Workspace {
     columns: PointColumns,
     pixels: Pixels,
-    /// Samples of each group of points, as many as views.
+    /// Samples per group of points, as many as views.
     samples: Vec<LaneSamples>,
-    /// Number of samples of each point.
+    /// Number of samples per point.
     counts: Vec<usize>,
 }
 

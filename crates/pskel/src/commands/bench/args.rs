@@ -31,13 +31,14 @@ pub(crate) struct BenchArgs {
     #[arg(value_parser = log::log, requires = "skeleton")]
     #[arg(conflicts_with_all = ["synthetic", "points", "cameras"])]
     log: Option<LogLocator>,
-    /// Skeleton that was built from the recording; with --synthetic a folder for a location of streets with 10 million
-    /// points each, which is written if it is missing (16 bytes per point). The frames are a drive of up to 1 km
+    /// Skeleton that was built from the recording; with --synthetic a folder for a location of streets with
+    /// 10 million points each, which is written if it is missing (16 bytes per point). The frames are a drive
+    /// of up to 1 km
     #[arg(long, value_name = "SKEL", conflicts_with_all = ["points", "cameras"])]
     skeleton: Option<PathBuf>,
     #[command(flatten)]
     frames: FrameArgs,
-    /// Number of points of a synthetic street with six cameras of 900x1600, like 4000000 or 4e6; the default
+    /// Number of points in a synthetic street with six cameras of 900x1600, like 4000000 or 4e6; the default
     /// workload [default: 4e6]
     #[arg(long, value_name = "N", value_parser = numbers::points, conflicts_with_all = ["points", "cameras"])]
     #[arg(allow_negative_numbers = true)]
@@ -75,7 +76,7 @@ pub(crate) struct BenchArgs {
     rasterizer: RasterizerArgs,
 }
 
-/// Default number of points of the synthetic street.
+/// Default number of points in the synthetic street.
 const DEFAULT_POINTS: usize = 4_000_000;
 /// Seed of the synthetic street.
 const STREET_SEED: u64 = 1;

@@ -82,7 +82,7 @@ pub(super) fn run(args: &AblationArgs) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Returns the number of cameras of the first log, which all logs must have.
+/// Returns the number of cameras in the first log, which all logs must have.
 fn cameras(locators: &[LogLocator]) -> anyhow::Result<usize> {
     let Some(first) = locators.first() else { return Ok(0) };
     let dataset = logs::open(first).with_context(|| format!("log {first}"))?;

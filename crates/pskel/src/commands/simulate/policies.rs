@@ -53,7 +53,7 @@ pub(super) struct PolicyArgs {
 }
 
 impl PolicyArgs {
-    /// Creates the policies of a clip of a log, whose other actors follow the log.
+    /// Creates the policies for a clip of a log, whose other actors follow the log.
     #[cfg(feature = "network")]
     pub(super) fn of_clip(ego: EgoKind, rates: Option<Rates>) -> Self {
         Self {

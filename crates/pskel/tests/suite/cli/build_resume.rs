@@ -186,7 +186,8 @@ fn logs_of_one_location_share_a_background() {
     assert!(summary.starts_with("built tiny, second from 6 frames"), "{summary}");
     let (one, both) =
         (Skeleton::open(&log.path("out/one")).unwrap(), Skeleton::open(&log.path("out/both")).unwrap());
-    // The second log is a copy of the first: each chunk holds the points of the first twice, next to each other.
+    // The second log is a copy of the first: each chunk holds the points of the first twice, next to each
+    // other.
     let sorted = |points: &[Point]| {
         let bits = |p: &Point| (p.position.map(f32::to_bits), p.rgb_class);
         let mut points: Vec<_> = points.iter().map(bits).collect();
