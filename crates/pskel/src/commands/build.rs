@@ -42,7 +42,8 @@ pub(crate) struct BuildArgs {
     /// --coloring every-camera]
     #[arg(long, value_name = "M", value_parser = numbers::voxel_m, allow_negative_numbers = true)]
     voxel: Option<f64>,
-    /// Side of the voxels for actors' points, meters; 0 retains all points, as in the paper [default: --voxel]
+    /// Side of the voxels for actors' points, meters; 0 retains all points, as in the paper [default:
+    /// --voxel]
     #[arg(long, value_name = "M", value_parser = numbers::voxel_m, allow_negative_numbers = true)]
     actor_voxel: Option<f64>,
     /// Continue an interrupted build of the same logs, frames and options, if there is one
