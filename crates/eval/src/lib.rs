@@ -38,8 +38,6 @@ pub use images::motion::{MOVING_MPS, Motion, MotionSums, MovingFrame, moving_mas
 pub use images::seams::SeamSums;
 pub use images::sharpness::sharpness;
 pub use images::ssim::ssim;
-#[cfg(feature = "network")]
-pub use plot::loss::loss_plot;
 pub use scores::{RolloutScores, ScoreError, ScoredFrame, Scores, Series, VehicleIou};
 pub use statistics::{MeanInterval, mean_interval, paired_difference};
 pub use vehicles::masks::Overlap;

@@ -7,8 +7,8 @@
 //! returns the finished latent of the step. A [`Codec`] decodes that latent into images. `schedule` and
 //! `sampler` define the noise levels and the denoising update. `window` computes the position of every frame
 //! of the window in its schedule, and `guidance` combines two predictions. Networks are exchangeable: the
-//! crate `pskel-network` has a small transformer, which is trained on [`TrainingClip`]s, [`toy`] is a linear
-//! network for tests, and [`ProcessDenoiser`] calls a network in another process.
+//! crate `pskel-network` has a small one, [`toy`] is a linear network for tests, and [`ProcessDenoiser`] calls
+//! a network in another process.
 
 mod conditions;
 mod denoiser;
@@ -41,4 +41,3 @@ pub use generator::window::{Progress, Roll};
 pub use options::GenerateOptions;
 pub use process::{DenoiserRig, ProcessDenoiser};
 pub use recordings::dataset_copy::{CopiedLog, DatasetCopy, ImageCounts};
-pub use recordings::drive::{DriveFrame, DriveInfo, TrainingClip};

@@ -18,10 +18,13 @@ use pskel_sim::peer::{PeerAddress, PeerError, PeerSpec};
 use serde::Serialize;
 
 use super::inputs::PLANES;
-use super::{FilledColor, Network, NetworkConfig, NetworkError, Provenance};
+use super::{FilledColor, Network, NetworkConfig, NetworkError, Provenance, Weights};
 
 /// Memory of weights and of the kernels' buffers, whatever the size of the images.
 const NETWORK_BYTES: u64 = 64 << 20;
+
+/// Bytes of the maps of a pixel: color, depth bin, boxes, HD map.
+const MAP_BYTES: usize = 3 + 2 + 3 + 3;
 
 /// Default window of a network process, frames.
 const PROCESS_WINDOW: usize = 4;
@@ -55,8 +58,9 @@ pub struct GeneratorSettings {
     pub guidance: Guidance,
     /// Seed of the noise.
     pub noise_seed: u64,
-    /// Conditions of a network process and of `fill`; other networks have their own.
-    pub recipe: Recipe,
+    /// Conditions of a network process and of `fill`; other networks have their own. `None` for the default
+    /// recipe of processes, and for that of the shipped network with `fill`.
+    pub recipe: Option<Recipe>,
     /// Time-out for each answer of a network process, seconds.
     pub timeout_s: f64,
 }
@@ -71,7 +75,7 @@ impl Default for GeneratorSettings {
             sampler: SamplerOptions::default(),
             guidance: Guidance::default(),
             noise_seed: 0,
-            recipe: Recipe::default(),
+            recipe: None,
             timeout_s: 60.0,
         }
     }
@@ -197,7 +201,8 @@ impl GeneratorSettings {
     }
 
     fn fill(&self, cameras: usize) -> Result<OpenedNetwork, OpenNetworkError> {
-        let (options, recipe) = (self.options(PROCESS_WINDOW)?, self.recipe.clone());
+        let options = self.options(PROCESS_WINDOW)?;
+        let recipe = self.recipe.clone().map_or_else(Weights::shipped_recipe, Ok)?;
         let filled = FilledColor::new(&recipe, cameras);
         Ok(OpenedNetwork {
             codec: Box::new(filled.clone()),
@@ -214,7 +219,7 @@ impl GeneratorSettings {
     }
 
     fn start(&self, address: &PeerAddress, rig: &DenoiserRig) -> Result<OpenedNetwork, OpenNetworkError> {
-        let (options, recipe) = (self.options(PROCESS_WINDOW)?, self.recipe.clone());
+        let (options, recipe) = (self.options(PROCESS_WINDOW)?, self.recipe.clone().unwrap_or_default());
         let spec = PeerSpec { address: address.clone(), timeout_s: self.timeout_s };
         let denoiser = ProcessDenoiser::start(&spec, &options, rig, recipe.size)?;
         let (codec, size) = denoiser.codec()?;
@@ -269,14 +274,17 @@ impl OpenedNetwork {
 
     /// Checks that the conditions, latents and images of a window fit into the memory that is available.
     fn check_memory(&self, cameras: usize) -> Result<(), MemoryError> {
-        let Self { recipe, size, options, activations, denoiser, .. } = self;
+        let Self { recipe, size, options, activations, denoiser, name, .. } = self;
         let pixels = |size: ImageSize| (cameras * size.pixels()) as u64;
-        let channels = (POINT_CHANNELS + LAYOUT_CHANNELS) * options.window + activations;
+        // Maps of the window as bytes and bins; a process is sent all frames of the window as numbers.
+        let tensors =
+            if matches!(name, NetworkName::Process(_)) { 4 * (POINT_CHANNELS + LAYOUT_CHANNELS) } else { 0 };
+        let maps = options.window * (MAP_BYTES + tensors) + 4 * activations;
         // Latents, their noise, and both predictions of guidance.
-        let latents = 4 * (options.window * denoiser.shape().len()) as u64;
+        let latents = 4 * 4 * (options.window * denoiser.shape().len()) as u64;
         // Generated and ground-truth images.
         let images = 2 * 3 * pixels(*size);
-        let bytes = NETWORK_BYTES + 4 * (channels as u64 * pixels(recipe.size) + latents) + images;
+        let bytes = NETWORK_BYTES + maps as u64 * pixels(recipe.size) + latents + images;
         let what =
             || format!("a window of {} frames of {cameras} views of {} pixels", options.window, recipe.size);
         let advice = "a recipe of smaller images or a smaller --window needs less";
@@ -305,11 +313,11 @@ impl OpenedNetwork {
     }
 }
 
-/// Returns the number of values per pixel that a network holds while it encodes conditions: its input, and
-/// stages at the full size.
+/// Returns the number of values per pixel that a network holds while it decodes: its input, the features at
+/// half the size twice, and a padded row of them.
 fn activations(config: &NetworkConfig) -> usize {
-    let [full, ..] = config.channels;
-    PLANES + 3 * full
+    let [half, quarter, ..] = config.decoder;
+    PLANES + (4 * half + 2 * quarter) / 4 + 3
 }
 
 impl GeneratorReport {

@@ -5,15 +5,16 @@ use pskel_generate::{Latent, LatentShape};
 
 use super::inputs::means;
 use super::{NetworkConfig, Statistics};
+use crate::weights::config::CELL;
 
-/// Returns the latents of a frame's pixels `[V, H, W]`, RGB, as rows `[V h w, 3]`: mean colors of 4x4 pixels,
-/// normalized.
+/// Returns the latents of a frame's pixels `[V, H, W]`, RGB, as rows `[V h w, 3]`: mean colors of 16x16
+/// pixels, normalized.
 pub(crate) fn latent_rows(config: &NetworkConfig, statistics: &Statistics, pixels: &[[u8; 3]]) -> Vec<f32> {
     let [height, width] = config.divided(1);
     let levels: Vec<[f32; 3]> =
         pixels.iter().map(|pixel| pixel.map(|level| f32::from(level) / 255.0)).collect();
     let mut rows: Vec<f32> =
-        levels.chunks((height * width).max(1)).flat_map(|image| means(image, width)).collect();
+        levels.chunks((height * width).max(1)).flat_map(|image| means(image, width, CELL)).collect();
     for row in rows.chunks_mut(statistics.means.len()) {
         let of = row.iter_mut().zip(statistics.means.iter().zip(&statistics.scales));
         of.for_each(|(value, (mean, scale))| *value = (*value - mean) / scale);

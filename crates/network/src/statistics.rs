@@ -10,11 +10,9 @@ use super::NetworkError;
 pub struct Statistics {
     /// Means of the images' colors, 0 to 1.
     pub means: Vec<f32>,
-    /// Standard deviations of the mean colors of 4x4 pixels, the divisors of latents.
+    /// Standard deviations of the mean colors of 16x16 pixels, the divisors of latents.
     pub scales: Vec<f32>,
-    /// Standard deviations of the error that the network is expected to leave. As measured, they belong to
-    /// the filled color. In weights they are multiplied by
-    /// [`TrainOptions::expected_error`](crate::train::TrainOptions::expected_error).
+    /// Standard deviations of the error that the denoiser is expected to leave, in units of `scales`.
     pub priors: Vec<f32>,
 }
 

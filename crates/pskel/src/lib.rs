@@ -49,8 +49,6 @@ enum Command {
     #[cfg(feature = "town")]
     Fidelity(Box<commands::fidelity::FidelityArgs>),
     #[cfg(feature = "network")]
-    Train(commands::train::TrainArgs),
-    #[cfg(feature = "network")]
     Generate(Box<commands::generate::GenerateArgs>),
     Evaluate(commands::evaluate::EvaluateArgs),
     /// Run an evaluation protocol
@@ -75,8 +73,6 @@ impl Command {
             Self::Town(args) => commands::town::run(&args),
             #[cfg(feature = "town")]
             Self::Fidelity(args) => commands::fidelity::run(&args),
-            #[cfg(feature = "network")]
-            Self::Train(args) => commands::train::run(&args),
             #[cfg(feature = "network")]
             Self::Generate(args) => commands::generate::run(*args),
             Self::Evaluate(args) => commands::evaluate::run(&args),

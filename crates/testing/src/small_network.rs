@@ -1,19 +1,29 @@
-//! A small network and synthetic recordings to train it: textured patches pass two cameras.
+//! A small network with random weights, and synthetic recordings for it: textured patches pass two cameras.
 
+use image::{Rgb, RgbImage};
 use point_skeleton::geometry::ImageSize;
-use pskel_generate::{DriveFrame, DriveInfo, Recipe, TrainingClip};
-use pskel_network::train::measure;
-use pskel_network::{Attend, NetworkConfig, Weights};
+use pskel_generate::{DroppedConditions, FrameConditions, Recipe};
+use pskel_network::{Attend, NetworkConfig, Statistics, Weights};
 
-const SIZE: ImageSize = ImageSize { height: 16, width: 32 };
+const SIZE: ImageSize = ImageSize { height: 32, width: 64 };
 
 pub const VIEWS: usize = 2;
+
+/// A synthetic recording.
+#[derive(Clone, Debug)]
+pub struct Clip {
+    /// Conditions of the frames.
+    pub conditions: Vec<FrameConditions>,
+    /// Images of each frame, one per camera.
+    pub images: Vec<Vec<RgbImage>>,
+}
 
 pub fn config() -> NetworkConfig {
     NetworkConfig {
         recipe: recipe(),
         frames: 4,
-        channels: [16; 4],
+        encoder: [16; 4],
+        decoder: [16; 4],
         width: 32,
         head: 16,
         hidden: 48,
@@ -22,12 +32,12 @@ pub fn config() -> NetworkConfig {
 }
 
 fn recipe() -> Recipe {
-    Recipe { size: SIZE, ..Recipe::default() }
+    Recipe { drawn: SIZE, size: SIZE, ..Recipe::default() }
 }
 
-/// Returns the texture of a patch, one of four; the map determines it.
+/// Returns the texture of a patch, one of four.
 fn kind(number: usize, view: usize, frame: usize, x: usize, y: usize) -> usize {
-    (x / 4 + 3 * (y / 4) + 2 * view + frame + number) * 5 % 7 % 4
+    (x / 16 + 3 * (y / 16) + 2 * view + frame + number) * 5 % 7 % 4
 }
 
 /// Returns a level of a texture.
@@ -37,41 +47,51 @@ fn shade(kind: usize, x: usize, y: usize, color: usize) -> u8 {
 }
 
 /// Returns a synthetic recording: two cameras pass textured patches; the color map has holes.
-pub fn clip(number: usize, frames: usize) -> TrainingClip {
-    clip_for(&config(), VIEWS, number, frames)
+pub fn clip(number: usize, frames: usize) -> Clip {
+    clip_for(&recipe(), VIEWS, number, frames)
 }
 
-/// Returns a recording of some cameras in the format of a network.
-pub fn clip_for(config: &NetworkConfig, views: usize, number: usize, frames: usize) -> TrainingClip {
-    let cameras = (0..views).map(|view| format!("camera {view}")).collect();
-    let source = String::new();
-    let about =
-        DriveInfo { log: format!("made {number}"), source, hz: 5.0, cameras, recipe: config.recipe.clone() };
-    let frame = |frame: usize| {
-        let mut made = DriveFrame { action: [1.0, 0.1 * frame as f32, 0.02], ..DriveFrame::default() };
-        for (view, y, x) in places(views, config.recipe.size) {
-            let kind = kind(number, view, frame, x, y);
-            let truth = [0, 1, 2].map(|color| shade(kind, x, y, color));
-            let is_hole = !(x * 7 + y * 3 + frame).is_multiple_of(5);
-            made.truth.push(truth);
-            made.color.push(if is_hole { [0; 3] } else { [truth[0] / 4; 3] });
-            made.bins.push(if is_hole { 0 } else { 1 + ((y * 8 + x) % 256) as u16 });
-            made.boxes.push(if x / 8 == frame % 4 { [255, 0, 0] } else { [0; 3] });
-            // The kind's low bit determines whether two colors differ, so no linear guess can predict it.
-            let [low, high, mask] = [kind & 1, kind >> 1, (x / 4 + y / 4) & 1];
-            made.map.push([high, mask, mask ^ low].map(|bit| 255 * bit as u8));
-        }
-        #[rustfmt::skip]
-        let camera = |yaw: f32| [
-            yaw.sin(), 0.0, yaw.cos(), 1.0,
-            -yaw.cos(), 0.0, yaw.sin(), 0.0,
-            0.0, -1.0, 0.0, 1.5,
-            0.8, 1.4, 0.5, 0.5,
-        ];
-        made.cameras = (0..views).map(|view| camera(0.5 - view as f32)).collect();
-        made
+/// Returns a recording of some cameras as a network's recipe renders it.
+pub fn clip_for(recipe: &Recipe, views: usize, number: usize, frames: usize) -> Clip {
+    let all = (0..frames).map(|frame| made(recipe, views, number, frame));
+    let (conditions, images) = all.unzip();
+    Clip { conditions, images }
+}
+
+fn made(recipe: &Recipe, views: usize, number: usize, frame: usize) -> (FrameConditions, Vec<RgbImage>) {
+    #[rustfmt::skip]
+    let camera = |yaw: f32| [
+        yaw.sin(), 0.0, yaw.cos(), 1.0,
+        -yaw.cos(), 0.0, yaw.sin(), 0.0,
+        0.0, -1.0, 0.0, 1.5,
+        0.8, 1.4, 0.5, 0.5,
+    ];
+    let size = recipe.size;
+    let mut made = FrameConditions {
+        size,
+        color: Vec::new(),
+        bins: Vec::new(),
+        depth_bins: recipe.bins,
+        boxes: Vec::new(),
+        map: Vec::new(),
+        dropped: DroppedConditions::default(),
+        action: [1.0, 0.1 * frame as f32, 0.02],
+        cameras: (0..views).map(|view| camera(0.5 - view as f32)).collect(),
+        prompt: String::new(),
     };
-    TrainingClip { about, frames: (0..frames).map(frame).collect() }
+    let truth = |view, y, x| [0, 1, 2].map(|color| shade(kind(number, view, frame, x, y), x, y, color));
+    for (view, y, x) in places(views, size) {
+        let is_hole = !(x * 7 + y * 3 + frame).is_multiple_of(5);
+        made.color.push(if is_hole { [0; 3] } else { truth(view, y, x).map(|level| level.max(1)) });
+        made.bins.push(if is_hole { 0 } else { 1 + ((y * 8 + x) % 256) as u16 });
+        made.boxes.push(if x / 16 == frame % 4 { [255, 0, 0] } else { [0; 3] });
+        made.map
+            .push([kind(number, view, frame, x, y) & 1, (x / 16 + y / 16) & 1, 0].map(|bit| 255 * bit as u8));
+    }
+    let image = |view: usize| {
+        RgbImage::from_fn(size.width, size.height, |x, y| Rgb(truth(view, y as usize, x as usize)))
+    };
+    (made, (0..views).map(image).collect())
 }
 
 /// Iterates over pixels: view, row, column.
@@ -80,7 +100,11 @@ fn places(views: usize, size: ImageSize) -> impl Iterator<Item = (usize, usize, 
     (0..views * height * width).map(move |i| (i / width / height, i / width % height, i % width))
 }
 
-pub fn weights(drives: &[TrainingClip]) -> Weights {
-    let statistics = measure(&config(), drives).unwrap();
-    Weights::fresh(&config(), &statistics, 5).unwrap()
+pub fn statistics() -> Statistics {
+    Statistics { means: vec![0.4, 0.45, 0.5], scales: vec![0.2, 0.25, 0.3], priors: vec![0.3, 0.4, 0.5] }
+}
+
+/// Returns random weights.
+pub fn weights() -> Weights {
+    Weights::random(&config(), &statistics(), 5).unwrap()
 }

@@ -9,7 +9,7 @@ import pytest
 pytest.importorskip("torch")
 pytest.importorskip("diffusers")
 from pskel.models.pas.cost import cost, main  # noqa: E402
-from pskel.models.pas.rig import PUBLISHED  # noqa: E402
+from pskel.models._rig import PUBLISHED  # noqa: E402
 
 PAGE = Path(__file__).parents[3] / "docs/src/reference/pas.md"
 SHARED = Path(os.environ.get("PSKEL_SHARED", Path(__file__).parents[4] / "shared"))

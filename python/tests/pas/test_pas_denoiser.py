@@ -31,9 +31,9 @@ from pas_frames import (  # noqa: E402
     window,
 )
 from pskel.models.pas import Config, Denoiser, FrameCondition, Models, Rig, added_time_ids  # noqa: E402
-from pskel.models.pas.cache import Cache  # noqa: E402
+from pskel.models._cache import Cache  # noqa: E402
 from pskel.models.pas.ids import ids_from_motion  # noqa: E402
-from pskel.models.pas.rig import PUBLISHED, inverse, ring_mask  # noqa: E402
+from pskel.models._rig import PUBLISHED, inverse, ring_mask  # noqa: E402
 
 pytest_plugins = ["pas_frames"]
 pytestmark = needs_fixture

@@ -19,7 +19,8 @@ torch = pytest.importorskip("torch")
 diffusers = pytest.importorskip("diffusers")
 pytest.importorskip("transformers")
 from pas_frames import CAMERAS, HELLO, H, V, arguments, needs_fixture, request, window  # noqa: E402
-from pskel.models.pas import Denoiser, messages  # noqa: E402
+from pskel.models import _messages as messages  # noqa: E402
+from pskel.models.pas import Denoiser  # noqa: E402
 from pskel.models.pas import __main__ as command  # noqa: E402
 
 pytest_plugins = ["pas_frames"]

@@ -1,8 +1,5 @@
 //! Line plots as SVG.
 
-#[cfg(feature = "network")]
-pub(super) mod loss;
-
 use std::io::Write;
 use std::ops::Range;
 use std::path::Path;

@@ -1,4 +1,4 @@
-//! Networks, training states, recordings and caches: safetensors with a JSON header.
+//! Networks and caches: safetensors with a JSON header.
 
 use std::cell::RefCell;
 
@@ -6,11 +6,10 @@ use point_skeleton::dataset::LogReader;
 use point_skeleton::geometry::ImageSize;
 use pskel_generate::toy::LinearDenoiser;
 use pskel_generate::{
-    Cache, Denoiser, DriveFrame, DriveInfo, Frame, GaussianNoise, GenerateOptions, Generator, Guidance,
-    Latent, LatentShape, Level, Recipe, SamplerOptions, Strategy, TrainingClip,
+    Cache, Denoiser, DroppedConditions, Frame, FrameConditions, GaussianNoise, GenerateOptions, Generator,
+    Guidance, Latent, LatentShape, Level, Recipe, SamplerOptions, Strategy,
 };
-use pskel_network::train::{TrainOptions, Trainer, measure};
-use pskel_network::{Attend, Network, NetworkConfig, Weights};
+use pskel_network::{Attend, Network, NetworkConfig, Statistics, Weights};
 use pskel_sim::{Committed, Rates, Scenario, SimOptions, Simulation};
 use serde_json::{Value, json};
 
@@ -20,20 +19,15 @@ use crate::check::{assert_names_file, short};
 use crate::synthetic_log::SyntheticLog;
 use crate::{Seed, Target};
 
-pub(super) const TARGETS: [Target; 4] = [
+pub(super) const TARGETS: [Target; 2] = [
     Target { name: "weights", run: weights, seeds: weight_seeds, max_len: 4096, memory: LARGE },
-    Target { name: "checkpoint", run: checkpoint, seeds: checkpoint_seeds, max_len: 4096, memory: LARGE },
-    Target { name: "drive", run: drive, seeds: drive_seeds, max_len: 8192, memory: LARGE },
     Target { name: "cache", run: cache, seeds: cache_seeds, max_len: 8192, memory: SMALL },
 ];
 
-/// Valid files, and recordings that fit them.
+/// A valid file.
 struct Stored {
     scratch: Scratch,
-    drives: Vec<TrainingClip>,
     weights: Vec<u8>,
-    checkpoint: Vec<u8>,
-    drive: Vec<u8>,
 }
 
 thread_local! {
@@ -42,51 +36,41 @@ thread_local! {
 }
 
 fn config() -> NetworkConfig {
-    let sides = |side: u32| ImageSize { height: side, width: side };
-    let recipe = Recipe { drawn: sides(8), size: sides(8), ..Recipe::default() };
-    let blocks = vec![Attend::Space, Attend::Time];
-    NetworkConfig { recipe, frames: 2, channels: [16; 4], width: 16, head: 16, hidden: 16, blocks }
+    let side = ImageSize { height: 32, width: 32 };
+    NetworkConfig {
+        recipe: Recipe { drawn: side, size: side, ..Recipe::default() },
+        frames: 2,
+        encoder: [16; 4],
+        decoder: [16; 4],
+        width: 16,
+        head: 16,
+        hidden: 16,
+        blocks: vec![Attend::Space, Attend::Time],
+    }
 }
 
-fn made_drive() -> TrainingClip {
-    let recipe = config().recipe;
-    let pixels = recipe.size.pixels();
-    let about = DriveInfo {
-        log: "made".into(),
-        source: String::new(),
-        hz: 2.0,
-        cameras: vec!["front".into()],
-        recipe,
-    };
-    let frame = |i: u8| {
-        let image = |factor: u8| (0..pixels).map(|p| [i * factor, (p % 6) as u8 * 40, 9]).collect::<Vec<_>>();
-        DriveFrame {
-            color: image(3),
-            bins: (0..pixels).map(|p| p as u16 * 4).collect(),
-            boxes: image(5),
-            map: image(7),
-            truth: image(11),
-            action: [0.5, 0.0, f32::from(i)],
-            cameras: vec![[0.25; 16]],
-        }
-    };
-    TrainingClip { about, frames: (0..4).map(frame).collect() }
+fn conditions() -> FrameConditions {
+    let Recipe { size, bins, .. } = config().recipe;
+    let image = |factor: u8| (0..size.pixels()).map(|p| [factor, (p % 6) as u8 * 40, 9]).collect::<Vec<_>>();
+    FrameConditions {
+        size,
+        color: image(3),
+        bins: (0..size.pixels()).map(|p| p as u16 % 256).collect(),
+        depth_bins: bins,
+        boxes: image(5),
+        map: image(7),
+        dropped: DroppedConditions::default(),
+        action: [0.5, 0.0, 0.1],
+        cameras: vec![[0.25; 16]],
+        prompt: String::new(),
+    }
 }
 
 impl Stored {
     fn new() -> Self {
-        let drives = vec![made_drive()];
-        let statistics = measure(&config(), &drives).expect("statistics");
-        let fresh = Weights::fresh(&config(), &statistics, 1).expect("weights");
-        let options = TrainOptions { infer_steps: 2, ..TrainOptions::default() };
-        let trainer = Trainer::new(options, config(), &drives, vec![1.0]).expect("a trainer");
-        Self {
-            weights: written("w", |path| fresh.write(path)),
-            checkpoint: written("c", |path| trainer.save(path)),
-            drive: written("d", |path| drives[0].save(path)),
-            scratch: Scratch::new(),
-            drives,
-        }
+        let statistics = Statistics { means: vec![0.5; 3], scales: vec![0.2; 3], priors: vec![0.5; 3] };
+        let random = Weights::random(&config(), &statistics, 1).expect("weights");
+        Self { weights: written("w", |path| random.write(path)), scratch: Scratch::new() }
     }
 }
 
@@ -148,19 +132,18 @@ fn weights(data: &[u8]) {
         };
         weights.write(&path).expect("weights to write");
         let again = Weights::open(&path).expect("weights that were written");
-        assert_eq!(again.fingerprint().ok(), weights.fingerprint().ok());
+        assert_eq!(again.fingerprint(), weights.fingerprint());
         if weights.config.shape(1) == config().shape(1) && weights.config.recipe == config().recipe {
-            predict(weights, &stored.drives[0]);
+            predict(weights);
         }
     });
 }
 
 /// Runs a network once; the numbers may have any value.
-fn predict(weights: Weights, drive: &TrainingClip) {
-    let (shape, encoder) = (weights.config.shape(1), drive.encoder());
+fn predict(weights: Weights) {
+    let shape = weights.config.shape(1);
     let Ok(mut network) = Network::new(weights, 1) else { return };
-    let latent = Latent::filled(shape, 0.5);
-    let condition = drive.conditions(0, &encoder);
+    let (latent, condition) = (Latent::filled(shape, 0.5), conditions());
     let frame = Frame {
         latent: &latent,
         level: Level { timestep: 500.0, sigma: 0.5 },
@@ -174,58 +157,6 @@ fn predict(weights: Weights, drive: &TrainingClip) {
 
 fn weight_seeds() -> Vec<Seed> {
     seeds(&Stored::new().weights)
-}
-
-fn checkpoint(data: &[u8]) {
-    STORED.with_borrow(|stored| {
-        let path = stored.scratch.put("training.safetensors", &file(data, &stored.checkpoint, "training"));
-        match Trainer::resume(&path, &stored.drives) {
-            // A mismatch with the recordings is not a fault of the file, so its name may be missing.
-            Err(error) => short(&error.to_string(), data),
-            Ok(mut trainer) => {
-                trainer.save(&path).expect("a training to write");
-                let again = Trainer::resume(&path, &stored.drives).expect("a training that was written");
-                assert_eq!((again.done(), again.options()), (trainer.done(), trainer.options()));
-                if trainer.options().batch <= 4 && !trainer.is_done() {
-                    let _ = trainer.step(); // the numbers may have any value
-                }
-            }
-        }
-    });
-}
-
-fn checkpoint_seeds() -> Vec<Seed> {
-    seeds(&Stored::new().checkpoint)
-}
-
-fn drive(data: &[u8]) {
-    STORED.with_borrow(|stored| {
-        let path = stored.scratch.put("drive.safetensors", &file(data, &stored.drive, "drive"));
-        let drive = match TrainingClip::open(&path) {
-            Err(error) => return assert_names_file(error, &path, data),
-            Ok(drive) => drive,
-        };
-        let encoder = drive.encoder();
-        if !drive.frames.is_empty() {
-            assert_eq!(drive.conditions(0, &encoder).views(), drive.about.cameras.len());
-        }
-        let saved = |drive: &TrainingClip| {
-            drive.save(&path).expect("a drive to write");
-            std::fs::read(&path).expect("a drive that was written")
-        };
-        let first = saved(&drive);
-        assert_eq!(saved(&TrainingClip::open(&path).expect("a drive that was written")), first);
-        let _ = Trainer::new(
-            TrainOptions { infer_steps: 2, ..TrainOptions::default() },
-            config(),
-            &[drive],
-            vec![1.0],
-        );
-    });
-}
-
-fn drive_seeds() -> Vec<Seed> {
-    seeds(&Stored::new().drive)
 }
 
 const SHAPE: LatentShape = LatentShape { views: 1, channels: 2, height: 2, width: 1 };

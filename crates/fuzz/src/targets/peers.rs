@@ -7,11 +7,12 @@ use std::sync::mpsc::{Receiver, Sender, channel};
 use std::time::Duration;
 
 use image::RgbImage;
+use point_skeleton::conditions::DepthBins;
 use point_skeleton::dataset::LogReader;
 use point_skeleton::geometry::ImageSize;
 use pskel_generate::{
-    Codec, Denoiser, DenoiserRig, Frame, FrameConditions, GenerateOptions, Guidance, Latent, Level,
-    ProcessDenoiser, SamplerOptions, Strategy,
+    Codec, Denoiser, DenoiserRig, DroppedConditions, Frame, FrameConditions, GenerateOptions, Guidance,
+    Latent, Level, ProcessDenoiser, SamplerOptions, Strategy,
 };
 use pskel_sim::peer::{PeerAddress, PeerSpec};
 use pskel_sim::{EgoPolicy, Rates, Scenario, SimOptions, Simulation};
@@ -196,8 +197,12 @@ fn ask(spec: &PeerSpec) -> Result<(), pskel_generate::DenoiserError> {
     let pixels = SIZE.pixels();
     let condition = FrameConditions {
         size: SIZE,
-        points: vec![0.5; VIEWS * 20 * pixels],
-        layout: vec![0.5; VIEWS * 6 * pixels],
+        color: vec![[128; 3]; VIEWS * pixels],
+        bins: vec![128; VIEWS * pixels],
+        depth_bins: DepthBins::default(),
+        boxes: vec![[128; 3]; VIEWS * pixels],
+        map: vec![[128; 3]; VIEWS * pixels],
+        dropped: DroppedConditions::default(),
         action: [0.0; 3],
         cameras: vec![[0.5; 16]; VIEWS],
         prompt: String::new(),

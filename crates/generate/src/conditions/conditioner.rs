@@ -111,7 +111,7 @@ impl<'a> Conditioner<'a> {
         let set = renderer.render_with(&state, &self.maps)?.set;
         let prompt =
             self.captions.as_ref().map_or(self.prompt.as_str(), |captions| captions.at(instant.t_us));
-        let conditions = FrameConditions::new(&set, &state, before, prompt)?;
+        let conditions = FrameConditions::new(&set, &state, before, prompt, self.maps.conditions.depth_bins)?;
         Ok(RenderedConditions { state, set, conditions })
     }
 }

@@ -97,11 +97,10 @@ impl Recipe {
         SelectionOptions { min_actor_points: self.min_actor_points, template_fit: self.template_fit }
     }
 
-    /// Returns the rendering options, with all maps that [`FrameConditions`](crate::FrameConditions) and
-    /// [`DriveFrame`](crate::DriveFrame) need.
+    /// Returns the rendering options, with all maps that [`FrameConditions`](crate::FrameConditions) need.
     pub fn options(&self, has_map: bool) -> ConditionOptions {
         ConditionOptions {
-            maps: MapSet::of(&[MapKind::Tensor]).with_parts(has_map),
+            maps: MapSet::of(&[MapKind::Tensor]).with_parts(has_map).without(MapKind::Tensor),
             splat: self.splat.clone(),
             radius_m: self.radius_m,
             size: Some(self.drawn),

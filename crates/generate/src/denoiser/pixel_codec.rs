@@ -93,8 +93,19 @@ mod tests {
     /// Conditions, which this codec does not need.
     fn none() -> FrameConditions {
         let size = point_skeleton::geometry::ImageSize { height: 0, width: 0 };
-        let (points, layout, cameras) = Default::default();
-        FrameConditions { size, points, layout, action: [0.0; 3], cameras, prompt: String::new() }
+        let (color, bins, boxes, map) = Default::default();
+        FrameConditions {
+            size,
+            color,
+            bins,
+            depth_bins: point_skeleton::conditions::DepthBins::default(),
+            boxes,
+            map,
+            dropped: crate::DroppedConditions::default(),
+            action: [0.0; 3],
+            cameras: Vec::new(),
+            prompt: String::new(),
+        }
     }
 
     #[test]

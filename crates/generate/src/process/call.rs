@@ -29,12 +29,16 @@ pub(super) fn request(
     let maps = |channels: usize| vec![frames, views, channels, size.height as usize, size.width as usize];
     let timesteps: Vec<f32> = window.iter().map(|frame| frame.level.timestep).collect();
     let sigmas: Vec<f32> = window.iter().map(|frame| frame.level.sigma).collect();
+    let owned = |of: fn(&FrameConditions) -> Vec<f32>| -> Vec<Vec<f32>> {
+        window.iter().map(|frame| of(frame.condition)).collect()
+    };
+    let (points, layout) = (owned(FrameConditions::points), owned(FrameConditions::layout));
     let tensors = [
         ("latents", vec![frames, views, channels, height, width], parts(window, |f| f.latent.values())),
         ("timesteps", vec![frames], vec![timesteps.as_slice()]),
         ("sigmas", vec![frames], vec![sigmas.as_slice()]),
-        ("points", maps(POINT_CHANNELS), parts(window, |f| &f.condition.points)),
-        ("layout", maps(LAYOUT_CHANNELS), parts(window, |f| &f.condition.layout)),
+        ("points", maps(POINT_CHANNELS), slices(&points)),
+        ("layout", maps(LAYOUT_CHANNELS), slices(&layout)),
         ("action", vec![frames, 3], parts(window, |f| &f.condition.action)),
         (
             "cameras",
@@ -55,6 +59,10 @@ pub(super) fn request(
         texts.into_iter().chain(dropped),
         tensors.map(|(name, shape, parts)| (name, Values { shape, parts })),
     )
+}
+
+fn slices(all: &[Vec<f32>]) -> Vec<&[f32]> {
+    all.iter().map(Vec::as_slice).collect()
 }
 
 /// Returns the names of dropped conditions.

@@ -10,7 +10,6 @@ mod rig;
 
 use std::sync::Arc;
 
-use point_skeleton::conditions::tensor::{LAYOUT_CHANNELS, POINT_CHANNELS};
 use point_skeleton::geometry::ImageSize;
 use pskel_sim::peer::{PeerSpec, ProtocolError};
 
@@ -99,16 +98,12 @@ impl ProcessDenoiser {
                 let expected = format!("latents of {shape} for frame {position} of the window");
                 return Err(DenoiserError::input(expected, latent.shape().to_string()));
             }
-            let [points, layout] = [POINT_CHANNELS, LAYOUT_CHANNELS].map(|n| views * n * size.pixels());
-            let (found_points, found_layout) = (condition.points.len(), condition.layout.len());
-            let found = (condition.views(), condition.size, found_points, found_layout);
-            if found != (views, size, points, layout) {
-                let expected = format!(
-                    "conditions of {views} cameras of {size} ({points} and {layout} values) for frame \
-                        {position} of the window"
-                );
-                let (views, size) = (condition.views(), condition.size);
-                let found = format!("{views} of {size} ({found_points} and {found_layout} values)");
+            let (found, is_whole) = ((condition.views(), condition.size), condition.is_whole());
+            if found != (views, size) || !is_whole {
+                let expected =
+                    format!("whole maps of {views} cameras of {size} for frame {position} of the window");
+                let part = if is_whole { "" } else { ", not whole" };
+                let found = format!("{} of {}{part}", found.0, found.1);
                 return Err(DenoiserError::input(expected, found));
             }
         }

@@ -6,6 +6,7 @@ use std::os::unix::net::UnixListener;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command};
 
+use point_skeleton::conditions::DepthBins;
 use point_skeleton::geometry::ImageSize;
 use pskel_generate::{
     DenoiserError, DenoiserRig, DroppedConditions, Frame, FrameConditions, GaussianNoise, GenerateError,
@@ -82,17 +83,20 @@ fn script(folder: &Path, lines: &str) -> PeerAddress {
 
 /// Returns conditions that differ from frame to frame.
 fn conditions(number: usize) -> FrameConditions {
-    let values = |count: usize, factor: usize| {
-        (0..count).map(|i| ((i * factor + number * 41) % 256) as f32 / 255.0).collect::<Vec<_>>()
-    };
-    let pixels = SIZE.pixels();
-    let cameras = values(VIEWS * 16, 3).chunks(16).map(|c| c.try_into().unwrap()).collect();
+    let byte = |i: usize, factor: usize| ((i * factor + number * 41) % 256) as u8;
+    let count = VIEWS * SIZE.pixels();
+    let rgb = |factor: usize| (0..count).map(|i| [0, 1, 2].map(|c| byte(3 * i + c, factor))).collect();
+    let cameras = (0..VIEWS).map(|view| std::array::from_fn(|i| f32::from(byte(view * 16 + i, 3)) / 255.0));
     FrameConditions {
         size: SIZE,
-        points: values(VIEWS * 20 * pixels, 7),
-        layout: values(VIEWS * 6 * pixels, 11),
+        color: rgb(7),
+        bins: (0..count).map(|i| u16::from(byte(i, 5))).collect(),
+        depth_bins: DepthBins::default(),
+        boxes: rgb(11),
+        map: rgb(13),
+        dropped: DroppedConditions::default(),
         action: [number as f32, 0.5, -0.25],
-        cameras,
+        cameras: cameras.collect(),
         prompt: format!("frame {number}, \"rain\""),
     }
 }
@@ -101,11 +105,12 @@ fn conditions(number: usize) -> FrameConditions {
 fn colors(conditions: &FrameConditions) -> Latent {
     let (height, width) = (SIZE.height as usize, SIZE.width as usize);
     let mut latent = Latent::filled(SHAPE, 0.0);
+    let points = conditions.points();
     for (i, value) in latent.values_mut().iter_mut().enumerate() {
         let (view, channel, row, column) = (i / 18, i / 6 % 3, i / 3 % 2, i % 3);
         let pixel = |k: usize| {
             let at = ((view * 20 + channel) * height + row * 8 + k / 8) * width + column * 8 + k % 8;
-            f64::from(conditions.points[at])
+            f64::from(points[at])
         };
         *value = ((0..64).map(pixel).sum::<f64>() / 32.0 - 1.0) as f32;
     }

@@ -1,5 +1,4 @@
 use image::RgbImage;
-use point_skeleton::conditions::tensor::POINT_CHANNELS;
 use point_skeleton::geometry::ImageSize;
 use pskel_generate::{Codec, Denoiser, DenoiserError, Frame, FrameConditions, Latent, LatentShape, Recipe};
 use rayon::prelude::*;
@@ -48,38 +47,40 @@ impl Codec for FilledColor {
 
     fn decode(&self, _: &Latent, conditions: &FrameConditions) -> Result<Vec<RgbImage>, DenoiserError> {
         let ImageSize { height, width } = self.size;
-        let len = POINT_CHANNELS * self.size.pixels();
-        if conditions.points.len() != self.cameras * len {
+        if (conditions.views(), conditions.size) != (self.cameras, self.size) || !conditions.is_whole() {
             let expected = format!("conditions of {} cameras of {}", self.cameras, self.size);
             let found = format!("{} of {}", conditions.views(), conditions.size);
             return Err(DenoiserError::input(expected, found));
         }
-        let image = |points: &[f32]| {
-            let (color, _) = filled_color(points, self.size);
+        let image = |view: usize| {
             let byte = |level: f32| (level * 255.0).round() as u8; // saturates
+            let color = filled_color(conditions, view);
             RgbImage::from_raw(width, height, color.into_iter().flatten().map(byte).collect())
         };
-        Ok(conditions.points.par_chunks(len).filter_map(image).collect())
+        Ok((0..self.cameras).into_par_iter().filter_map(image).collect())
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use pskel_generate::DroppedConditions;
 
     #[test]
     fn holes_take_the_surrounding_color() {
         let recipe = Recipe { size: ImageSize { height: 2, width: 4 }, ..Recipe::default() };
         let filled = FilledColor::new(&recipe, 2);
-        let mut points = vec![0.0; 2 * POINT_CHANNELS * 8];
-        points[POINT_CHANNELS * 8..][..24].fill(1.0);
-        for (channel, level) in [0.2, 0.4, 0.6].into_iter().enumerate() {
-            points[channel * 8 + 3] = level;
-        }
+        let mut color = vec![[0; 3]; 8];
+        color.extend([[255; 3]; 8]);
+        color[3] = [51, 102, 153];
         let conditions = FrameConditions {
             size: recipe.size,
-            points,
-            layout: vec![0.0; 2 * 6 * 8],
+            color,
+            bins: vec![0; 16],
+            depth_bins: recipe.bins,
+            boxes: vec![[0; 3]; 16],
+            map: vec![[0; 3]; 16],
+            dropped: DroppedConditions::default(),
             action: [0.0; 3],
             cameras: vec![[0.5; 16]; 2],
             prompt: String::new(),

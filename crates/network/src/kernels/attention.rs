@@ -1,6 +1,6 @@
 use rayon::prelude::*;
 
-use super::math::{Product, dot, each, every, exp, gelu, gelu_slope, total, wide};
+use super::math::{Product, dot, each, every, exp, gelu, total, wide};
 use super::{Attend, EPSILON, Grid, LANES};
 
 /// Attention and the activation of a hidden layer in parallel: rows `[q, k, v, hidden]` of width `3d + m`
@@ -28,21 +28,13 @@ const ROWS_PER_TASK: usize = 64;
 /// [`LANES`].
 #[derive(Default)]
 struct Scratch {
-    /// Normalized queries and keys, and values: `[n, c]`.
+    /// Normalized queries, and values: `[n, c]`.
     q: Vec<f32>,
-    k: Vec<f32>,
     v: Vec<f32>,
-    /// Transposed keys and values: `[c, N]`.
+    /// Normalized keys, transposed: `[c, N]`.
     k_across: Vec<f32>,
-    v_across: Vec<f32>,
-    /// Normalization factors of queries and keys: `[n]`.
-    q_factors: Vec<f32>,
-    k_factors: Vec<f32>,
-    /// Attention weights and their gradient: `[n, N]`.
+    /// Attention weights: `[n, N]`.
     weights: Vec<f32>,
-    slopes: Vec<f32>,
-    /// Gradient of the output: `[n, c]`.
-    grad: Vec<f32>,
     /// Result of a matrix product: `[n, c]`.
     out: Vec<f32>,
 }
@@ -63,23 +55,17 @@ impl AttentionMlp {
         let ((n, padded), c) = (self.lengths(), self.head);
         s.k_across.clear();
         s.k_across.resize(c * padded, 0.0);
-        for rows in [&mut s.q, &mut s.k, &mut s.v, &mut s.out] {
+        for rows in [&mut s.q, &mut s.v, &mut s.out] {
             rows.resize(n * c, 0.0);
         }
-        for rows in [&mut s.weights, &mut s.slopes] {
-            rows.resize(n * padded, 0.0);
-        }
-        s.q_factors.resize(n, 0.0);
-        s.k_factors.resize(n, 0.0);
+        s.weights.resize(n * padded, 0.0);
         for i in 0..n {
             let at = self.grid.row(self.attend, group, i) * self.stride() + head * c;
             let [q, k, v] = [0, 1, 2].map(|part| &u[at + part * self.width..][..c]);
             let factor = |x: &[f32]| 1.0 / (dot(x, x) / c as f32 + EPSILON).sqrt();
             let (q_factor, k_factor) = (factor(q), factor(k));
-            (s.q_factors[i], s.k_factors[i]) = (q_factor, k_factor);
             for j in 0..c {
                 s.q[i * c + j] = q[j] * q_factor;
-                s.k[i * c + j] = k[j] * k_factor;
             }
             for j in 0..c {
                 s.k_across[j * padded + i] = k[j] * k_factor;
@@ -148,94 +134,5 @@ impl AttentionMlp {
             );
         });
         out
-    }
-
-    /// Computes the gradient of the input, `[R, 3d + m]`, from the output's, `[R, d + m]`.
-    pub(in super::super) fn backward(&self, u: &[f32], grad: &[f32]) -> Vec<f32> {
-        let ((n, _), c, d, m) = (self.lengths(), self.head, self.width, self.hidden);
-        let rows = self.grid.rows();
-        let mut slopes = vec![0.0_f32; rows * 3 * d]; // [group, token, 3d]
-        slopes.par_chunks_mut(n * 3 * d).enumerate().for_each_init(Scratch::default, |s, (group, slopes)| {
-            wide(
-                #[inline(always)]
-                || {
-                    for head in 0..d / c {
-                        self.head_backward(u, grad, group, head, s, slopes);
-                    }
-                },
-            );
-        });
-        let mut out = vec![0.0_f32; rows * self.stride()];
-        out.par_chunks_mut(self.stride()).with_min_len(ROWS_PER_TASK).enumerate().for_each(|(row, out)| {
-            let (group, token) = self.grid.place(self.attend, row);
-            let (out_seen, out_hidden) = out.split_at_mut(3 * d);
-            out_seen.copy_from_slice(&slopes[(group * n + token) * 3 * d..][..3 * d]);
-            let hidden = &u[row * self.stride() + 3 * d..][..m];
-            let grad = &grad[row * (d + m) + d..][..m];
-            wide(
-                #[inline(always)]
-                || each(out_hidden, hidden, grad, |x, grad| grad * gelu_slope(x)),
-            );
-        });
-        out
-    }
-
-    /// Computes the gradients of q, k and v, for one head and group, into `slopes`, `[n, 3d]`.
-    #[inline(always)]
-    fn head_backward(
-        &self,
-        u: &[f32],
-        grad: &[f32],
-        group: usize,
-        head: usize,
-        s: &mut Scratch,
-        slopes: &mut [f32],
-    ) {
-        let ((n, padded), c, d) = (self.lengths(), self.head, self.width);
-        self.weigh(u, group, head, s);
-        s.grad.resize(n * c, 0.0);
-        s.v_across.clear();
-        s.v_across.resize(c * padded, 0.0);
-        for i in 0..n {
-            let at = self.grid.row(self.attend, group, i) * (d + self.hidden) + head * c;
-            s.grad[i * c..(i + 1) * c].copy_from_slice(&grad[at..at + c]);
-            for j in 0..c {
-                s.v_across[j * padded + i] = s.v[i * c + j];
-            }
-        }
-        let (a, b, out) = (&s.grad, &s.v_across, &mut s.slopes);
-        Product { rows: n, inner: c, columns: padded, a, strides: [c, 1], b, out, accumulate: false }.run();
-        let (a, b, out) = (&s.weights, &s.grad, &mut s.out);
-        Product { rows: n, inner: n, columns: c, a, strides: [1, padded], b, out, accumulate: false }.run();
-        for (i, row) in s.out.chunks(c).enumerate() {
-            slopes[i * 3 * d + 2 * d + head * c..][..c].copy_from_slice(row);
-        }
-        let scale = 1.0 / (c as f32).sqrt();
-        for (weights, slopes) in s.weights.chunks(padded).zip(s.slopes.chunks_mut(padded)) {
-            let mean = dot(weights, slopes);
-            for (slope, weight) in slopes.iter_mut().zip(weights) {
-                *slope = weight * (*slope - mean) * scale;
-            }
-        }
-        for (part, unit, factors, other, strides) in
-            [(0, &s.q, &s.q_factors, &s.k, [padded, 1]), (1, &s.k, &s.k_factors, &s.q, [1, padded])]
-        {
-            Product {
-                rows: n,
-                inner: n,
-                columns: c,
-                a: &s.slopes,
-                strides,
-                b: other,
-                out: &mut s.out,
-                accumulate: false,
-            }
-            .run();
-            for (i, (unit, slope)) in unit.chunks(c).zip(s.out.chunks(c)).enumerate() {
-                let mean = dot(unit, slope) / c as f32;
-                let out = &mut slopes[i * 3 * d + part * d + head * c..][..c];
-                each(out, unit, slope, |unit, slope| factors[i] * (slope - unit * mean));
-            }
-        }
     }
 }

@@ -14,12 +14,10 @@ pub enum Attend {
     Time,
 }
 
-/// Memory layout of tokens: row `(((b L + l) V + v) h + y) w + x` of a matrix.
+/// Memory layout of tokens: row `((l V + v) h + y) w + x` of a matrix.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(in super::super) struct Grid {
-    /// Number of windows, B.
-    pub(in super::super) windows: usize,
-    /// Number of frames in a window, L.
+    /// Number of frames in the window, L.
     pub(in super::super) frames: usize,
     /// Number of cameras, V.
     pub(in super::super) views: usize,
@@ -32,7 +30,7 @@ pub(in super::super) struct Grid {
 impl Grid {
     /// Number of tokens, R.
     pub(in super::super) fn rows(&self) -> usize {
-        self.windows * self.frames * self.image_rows()
+        self.frames * self.image_rows()
     }
 
     /// Number of tokens in a frame.
@@ -59,10 +57,7 @@ impl Grid {
                 let (view, x) = (token / self.width, token % self.width);
                 ((frame * self.views + view) * self.height + y) * self.width + x
             }
-            Attend::Time => {
-                let per_frame = self.image_rows();
-                ((group / per_frame) * self.frames + token) * per_frame + group % per_frame
-            }
+            Attend::Time => token * self.image_rows() + group,
         }
     }
 
@@ -80,11 +75,7 @@ impl Grid {
                 let (view, frame) = (rest % self.views, rest / self.views);
                 (frame * self.height + y, view * self.width + x)
             }
-            Attend::Time => {
-                let per_frame = self.image_rows();
-                let (frame, place) = (row / per_frame, row % per_frame);
-                ((frame / self.frames) * per_frame + place, frame % self.frames)
-            }
+            Attend::Time => (row % self.image_rows(), row / self.image_rows()),
         }
     }
 }

@@ -39,11 +39,9 @@ pub(super) fn gelu(x: f32) -> f32 {
     x / (1.0 + exp(-GELU_SLOPE * x * (1.0 + GELU_CUBE * x * x)))
 }
 
-/// Returns the derivative of [`gelu`].
-#[inline(always)]
-pub(super) fn gelu_slope(x: f32) -> f32 {
-    let share = 1.0 / (1.0 + exp(-GELU_SLOPE * x * (1.0 + GELU_CUBE * x * x)));
-    share + x * share * (1.0 - share) * GELU_SLOPE * (1.0 + 3.0 * GELU_CUBE * x * x)
+/// Computes `x / (1 + exp(-x))` in place. Source: Elfwing et al., 2018.
+pub(in super::super) fn silu(values: &mut [f32]) {
+    values.iter_mut().for_each(|x| *x /= 1.0 + exp(-*x));
 }
 
 /// A small matrix product, `out[rows, columns] = a[rows, inner] b[inner, columns]`. `b` and `out` are

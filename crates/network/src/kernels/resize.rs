@@ -29,22 +29,6 @@ impl Resize {
         out
     }
 
-    /// Returns the gradient of [`Resize::downsample`]'s input.
-    pub(in super::super) fn downsample_backward(&self, grad: &[f32]) -> Vec<f32> {
-        let Self { height, width, channels: c } = *self;
-        let mut out = vec![0.0_f32; grad.len() * 4];
-        let images = out.par_chunks_mut(height * width * c).zip(grad.par_chunks(height * width / 4 * c));
-        images.for_each(|(out, grad)| {
-            for (y, out) in out.chunks_mut(width * c).enumerate() {
-                for (x, out) in out.chunks_mut(c).enumerate() {
-                    let grad = &grad[(y / 2 * (width / 2) + x / 2) * c..][..c];
-                    out.iter_mut().zip(grad).for_each(|(out, grad)| *out = 0.25 * grad);
-                }
-            }
-        });
-        out
-    }
-
     /// Returns the image at twice the size, `[N, H, W, C]` of `[N, H / 2, W / 2, C]`: bilinear, with repeated
     /// borders.
     pub(in super::super) fn upsample(&self, x: &[f32]) -> Vec<f32> {
@@ -62,27 +46,6 @@ impl Resize {
                         let mixed =
                             |row: &[f32]| left_share * row[left * c + j] + right_share * row[right * c + j];
                         out[j] = near_share * mixed(near) + far_share * mixed(far);
-                    }
-                }
-            }
-        });
-        out
-    }
-
-    /// Returns the gradient of [`Resize::upsample`]'s input.
-    pub(in super::super) fn upsample_backward(&self, grad: &[f32]) -> Vec<f32> {
-        let Self { height, width, channels: c } = *self;
-        let (low, across) = (height / 2, width / 2);
-        let mut out = vec![0.0_f32; grad.len() / 4];
-        let images = out.par_chunks_mut(low * across * c).zip(grad.par_chunks(height * width * c));
-        images.for_each(|(out, grad)| {
-            for (y, grad) in grad.chunks(width * c).enumerate() {
-                for (from_y, y_share) in neighbors(y, low) {
-                    for (x, grad) in grad.chunks(c).enumerate() {
-                        for (from_x, x_share) in neighbors(x, across) {
-                            let out = &mut out[(from_y * across + from_x) * c..][..c];
-                            out.iter_mut().zip(grad).for_each(|(out, grad)| *out += y_share * x_share * grad);
-                        }
                     }
                 }
             }

@@ -1,7 +1,3 @@
-use std::path::Path;
-
-use point_skeleton::error::FileError;
-use point_skeleton::files::json;
 use point_skeleton::geometry::ImageSize;
 use pskel_generate::{LatentShape, Recipe};
 use serde::{Deserialize, Serialize};
@@ -11,61 +7,41 @@ use crate::{NetworkError, Statistics};
 
 /// Dimensions of the network. Stored in the header of the weights.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
+#[serde(deny_unknown_fields)]
 pub struct NetworkConfig {
     /// How its conditions are rendered; images are of `recipe.size`.
     pub recipe: Recipe,
     /// Number of frames in the training windows, L; the network also accepts fewer.
     pub frames: usize,
-    /// Channels of the convolutions at the full size, and at a half, a quarter and an eighth of it.
-    pub channels: [usize; 4],
+    /// Channels of the encoder at 1/4, 1/8, 1/16 and 1/32 of the size.
+    pub encoder: [usize; 4],
+    /// Channels of the decoder at 1/2, 1/4, 1/8 and 1/16 of the size.
+    pub decoder: [usize; 4],
     /// Width of the tokens, d.
     pub width: usize,
     /// Width of a head, c.
     pub head: usize,
     /// Width of the hidden layers, m.
     pub hidden: usize,
-    /// Attention kind of each block, in order.
+    /// Attention of each block, in order.
     pub blocks: Vec<Attend>,
-}
-
-impl Default for NetworkConfig {
-    /// Configuration with 1.8 million parameters, for images of 64x112 pixels.
-    fn default() -> Self {
-        use Attend::{Space, Time, Views};
-        Self {
-            recipe: Recipe::default(),
-            frames: 4,
-            channels: [16, 32, 64, 96],
-            width: 128,
-            head: 32,
-            hidden: 256,
-            blocks: vec![Space, Views, Time, Space, Views, Time],
-        }
-    }
 }
 
 /// Maximum number of cameras.
 pub(crate) const MAX_CAMERAS: usize = 8;
+/// Side of the pixels that share a pixel of the size at which latents are denoised.
+pub(crate) const WORK: usize = 4;
 /// Side of the pixels that share a place of the latents.
-pub(crate) const CELL: usize = 4;
+pub(crate) const CELL: usize = 16;
 /// Channels of the latents.
 pub(crate) const LATENT_CHANNELS: usize = 3;
 /// Side of the pixels that share a token.
-pub(crate) const TOKEN: usize = 8;
+pub(crate) const TOKEN: usize = 32;
 /// Maximum of each dimension; rejects mistyped configurations.
 const MAX_SIZE: usize = 1 << 14;
 
 impl NetworkConfig {
-    /// Reads a configuration from a JSON file. Missing fields have their default.
-    ///
-    /// # Errors
-    /// Fails if the file cannot be read, or if it has an unknown field or a wrong type.
-    pub fn read(path: &Path) -> Result<Self, FileError> {
-        json::read(path, "a network's configuration")
-    }
-
-    /// Latent shape of a frame with some cameras: the mean colors of 4x4 pixels.
+    /// Latent shape of a frame with some cameras: the mean colors of 16x16 pixels.
     pub fn shape(&self, cameras: usize) -> LatentShape {
         let [height, width] = self.divided(CELL);
         LatentShape { views: cameras, channels: LATENT_CHANNELS, height, width }
@@ -85,11 +61,11 @@ impl NetworkConfig {
     /// Validates the configuration.
     ///
     /// # Errors
-    /// Returns an error if a dimension is out of range, if the sides of images are not multiples of 8, or if
+    /// Returns an error if a dimension is out of range, if the sides of images are not multiples of 32, or if
     /// the width is not a multiple of the head width.
     pub fn check(&self) -> Result<(), NetworkError> {
-        let Self { frames, channels, width, head, hidden, .. } = *self;
-        let numbers = [&[frames, width, head, hidden, self.blocks.len()][..], &channels].concat();
+        let Self { frames, encoder, decoder, width, head, hidden, .. } = *self;
+        let numbers = [&[frames, width, head, hidden, self.blocks.len()][..], &encoder, &decoder].concat();
         if numbers.iter().any(|number| !(1..=MAX_SIZE).contains(number)) {
             let expected = format!("frames, channels, width, head, hidden and blocks of 1 to {MAX_SIZE}");
             return Err(NetworkError::input(expected, format!("{numbers:?}")));
@@ -103,9 +79,10 @@ impl NetworkConfig {
             let expected = format!("images with sides that are multiples of {TOKEN}");
             return Err(NetworkError::input(expected, self.recipe.size.to_string()));
         }
-        if width % head != 0 || [head, hidden].iter().chain(&channels).any(|n| n % LANES != 0) {
+        let lanes = [&[head, hidden][..], &encoder, &decoder].concat();
+        if width % head != 0 || lanes.iter().any(|n| n % LANES != 0) {
             let expected = format!("a width of whole heads; head, hidden and channels multiples of {LANES}");
-            return Err(NetworkError::input(expected, format!("{width}, {head}, {hidden} and {channels:?}")));
+            return Err(NetworkError::input(expected, format!("{width}, {lanes:?}")));
         }
         Ok(())
     }
@@ -122,9 +99,9 @@ impl NetworkConfig {
         [height as usize / by.max(1), width as usize / by.max(1)]
     }
 
-    /// Returns the token grid for this many windows, frames and cameras.
-    pub(crate) fn grid(&self, windows: usize, frames: usize, views: usize) -> Grid {
+    /// Returns the token grid of a window of this many frames and cameras.
+    pub(crate) fn grid(&self, frames: usize, views: usize) -> Grid {
         let [height, width] = self.divided(TOKEN);
-        Grid { windows, frames, views, height, width }
+        Grid { frames, views, height, width }
     }
 }

@@ -1,22 +1,22 @@
 pub(super) mod config;
-pub(super) mod parameters;
 
 use std::collections::{BTreeMap, HashMap};
 use std::hash::Hasher;
 use std::path::Path;
 
 use bytemuck::{cast_slice, pod_collect_to_vec};
-use candle_core::{Device, Tensor};
 use point_skeleton::error::FileError;
 use point_skeleton::files::input::read_table;
 use point_skeleton::files::json;
 use point_skeleton::files::write_whole;
-use rand_seeder::SipHasher;
+use pskel_generate::Recipe;
+use rand_chacha::ChaCha8Rng;
+use rand_distr::{Distribution, StandardNormal};
+use rand_seeder::{Seeder, SipHasher};
 use safetensors::tensor::{Dtype, SafeTensors, TensorView, serialize};
-use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
-use self::parameters::{fresh, shapes};
+use super::model::{Arrays, Model};
 use super::{NetworkConfig, NetworkError, Statistics};
 
 /// Provenance of weights.
@@ -32,8 +32,8 @@ pub struct Provenance {
     pub command: String,
 }
 
-/// Weights of a network. The file is safetensors, f32; everything else is JSON in the metadata entry
-/// `network`.
+/// Weights of a network. The file is safetensors, f32, with the names and layouts of the PyTorch modules of
+/// `pskel.models.small`; everything else is JSON in the metadata entry `network`.
 #[derive(Clone, Debug)]
 pub struct Weights {
     /// Configuration of the network.
@@ -42,7 +42,13 @@ pub struct Weights {
     pub statistics: Statistics,
     /// Provenance of the weights.
     pub about: Provenance,
-    pub(crate) parameters: BTreeMap<String, Tensor>,
+    arrays: BTreeMap<String, Array>,
+}
+
+#[derive(Clone, Debug)]
+struct Array {
+    shape: Vec<usize>,
+    values: Vec<f32>,
 }
 
 #[derive(Serialize, Deserialize)]
@@ -54,7 +60,7 @@ struct Header {
 }
 
 const HEADER: &str = "network";
-/// Output of `pskel train`; `loss.csv` beside it is the course of its loss.
+/// Output of `python -m pskel.train`.
 const SHIPPED: &[u8] = include_bytes!("../../shipped/weights.safetensors");
 
 impl Weights {
@@ -62,51 +68,62 @@ impl Weights {
     ///
     /// # Errors
     /// Returns an error if the configuration is inconsistent, or if the statistics do not fit it.
-    pub fn fresh(config: &NetworkConfig, statistics: &Statistics, seed: u64) -> Result<Self, NetworkError> {
+    pub fn random(config: &NetworkConfig, statistics: &Statistics, seed: u64) -> Result<Self, NetworkError> {
         config.check_with(statistics)?;
+        let mut random = RandomArrays { seed, taken: BTreeMap::new() };
+        Model::read(config, statistics, &mut random)?;
         let about = Provenance { seed, ..Provenance::default() };
-        let parameters = fresh(config, seed)?;
-        Ok(Self { config: config.clone(), statistics: statistics.clone(), about, parameters })
+        Ok(Self { config: config.clone(), statistics: statistics.clone(), about, arrays: random.taken })
     }
 
     /// Number of trained parameters.
     pub fn count(&self) -> usize {
-        self.parameters.values().map(Tensor::elem_count).sum()
+        self.arrays.values().map(|array| array.values.len()).sum()
     }
 
     /// Returns a hash of the configuration, the statistics and all parameters.
-    pub fn fingerprint(&self) -> Result<String, NetworkError> {
+    pub fn fingerprint(&self) -> String {
         let mut hasher = SipHasher::new();
         hasher.write(format!("{:?} {:?}", self.config, self.statistics).as_bytes());
-        for (name, tensor) in &self.parameters {
+        for (name, array) in &self.arrays {
             hasher.write(name.as_bytes());
-            hasher.write(cast_slice(&tensor.flatten_all()?.to_vec1::<f32>()?));
+            hasher.write(cast_slice(&array.values));
         }
-        Ok(format!("{:016x}", hasher.finish()))
+        format!("{:016x}", hasher.finish())
+    }
+
+    /// Returns the model with these weights.
+    pub(crate) fn model(&self) -> Result<Model, NetworkError> {
+        Model::read(&self.config, &self.statistics, &mut Known(&self.arrays))
     }
 
     /// Writes the weights to a file.
     ///
     /// # Errors
     /// Fails if the file cannot be written.
-    pub fn write(&self, path: &Path) -> Result<(), NetworkError> {
+    pub fn write(&self, path: &Path) -> Result<(), FileError> {
         use std::io::Write;
-        let Self { config, statistics, about, .. } = self.clone();
-        let mut arrays = Vec::new();
-        for (name, tensor) in &self.parameters {
-            arrays.push((name.clone(), tensor.dims().to_vec(), tensor.flatten_all()?.to_vec1::<f32>()?));
+        let Self { config, statistics, about, arrays } = self.clone();
+        let failed = |error: String| FileError::io("write", path)(std::io::Error::other(error));
+        let header = serde_json::to_string(&Header { config, statistics, about });
+        let header = header.map_err(|error| failed(error.to_string()))?;
+        let mut views = Vec::with_capacity(arrays.len());
+        for (name, array) in &arrays {
+            let view = TensorView::new(Dtype::F32, array.shape.clone(), cast_slice(&array.values));
+            views.push((name, view.map_err(|error| failed(error.to_string()))?));
         }
-        let bytes = serialized(&arrays, HEADER, &Header { config, statistics, about }, path)?;
-        Ok(write_whole(path, |out| out.write_all(&bytes).map_err(FileError::io("write", path)))?)
+        let bytes = serialize(views, Some(HashMap::from([(HEADER.to_owned(), header)])));
+        let bytes = bytes.map_err(|error| failed(error.to_string()))?;
+        write_whole(path, |out| out.write_all(&bytes).map_err(FileError::io("write", path)))
     }
 
-    /// Reads a file written by [`Weights::write`].
+    /// Reads a file of weights.
     ///
     /// # Errors
     /// Fails if the file cannot be read or its header is invalid, or if parameters are missing, superfluous,
     /// or of another shape or type.
     pub fn open(path: &Path) -> Result<Self, NetworkError> {
-        Self::read(&read_whole(path)?, path)
+        Self::read(&read_table(path)?, path)
     }
 
     /// Returns the weights that are included in the program.
@@ -117,88 +134,102 @@ impl Weights {
         Self::read(SHIPPED, Path::new("../../shipped/weights.safetensors"))
     }
 
+    /// Returns the recipe of the weights that are included in the program.
+    pub(crate) fn shipped_recipe() -> Result<Recipe, NetworkError> {
+        Ok(header(SHIPPED, Path::new("../../shipped/weights.safetensors"))?.config.recipe)
+    }
+
     fn read(bytes: &[u8], path: &Path) -> Result<Self, NetworkError> {
-        let (Header { config, statistics, about }, tensors) = read::<Header>(bytes, HEADER, "weights", path)?;
+        let wrong = |found: String| FileError::content("weights", found, path);
+        let Header { config, statistics, about } = header(bytes, path)?;
         config.check_with(&statistics).map_err(|error| in_file(error, path))?;
-        let shapes = shapes(&config);
-        if tensors.len() != shapes.len() {
-            let expected = format!("{} parameters", shapes.len());
+        let tensors = SafeTensors::deserialize(bytes).map_err(|e| wrong(e.to_string()))?;
+        let mut stored = Stored { tensors: &tensors, path, taken: BTreeMap::new() };
+        Model::read(&config, &statistics, &mut stored)?;
+        let arrays = stored.taken;
+        if tensors.len() != arrays.len() {
+            let expected = format!("{} parameters", arrays.len());
             return Err(FileError::content(expected, tensors.len().to_string(), path).into());
         }
-        let mut parameters = BTreeMap::new();
-        for (name, shape) in shapes {
-            let values = find(&tensors, &name, &shape, path)?;
-            parameters.insert(name, Tensor::from_vec(values, shape, &Device::Cpu)?);
-        }
-        Ok(Self { config, statistics, about, parameters })
+        Ok(Self { config, statistics, about, arrays })
     }
 }
 
+/// Parses the header of a file.
+fn header(bytes: &[u8], path: &Path) -> Result<Header, FileError> {
+    let wrong = |found: String| FileError::content("weights", found, path);
+    let (_, head) = SafeTensors::read_metadata(bytes).map_err(|e| wrong(format!("no safetensors: {e}")))?;
+    let header = head.metadata().as_ref().and_then(|all| all.get(HEADER));
+    let header = header.ok_or_else(|| wrong(format!("no {HEADER} in the header")))?;
+    json::parsed(header.as_bytes()).map_err(wrong)
+}
+
 /// Adds the path of the file to an error about its content.
-pub(crate) fn in_file(error: NetworkError, path: &Path) -> NetworkError {
+fn in_file(error: NetworkError, path: &Path) -> NetworkError {
     match error {
         NetworkError::Input { expected, found } => FileError::content(expected, found, path).into(),
         other => other,
     }
 }
 
-/// Reads all bytes of a file.
-pub(crate) fn read_whole(path: &Path) -> Result<Vec<u8>, FileError> {
-    read_table(path)
-}
+/// Arrays in memory.
+struct Known<'a>(&'a BTreeMap<String, Array>);
 
-/// Serializes named f32 arrays as safetensors, with a header in the metadata.
-pub(crate) fn serialized(
-    arrays: &[(String, Vec<usize>, Vec<f32>)],
-    key: &str,
-    header: &impl Serialize,
-    path: &Path,
-) -> Result<Vec<u8>, FileError> {
-    let failed = |error: String| FileError::io("write", path)(std::io::Error::other(error));
-    let header = serde_json::to_string(header).map_err(|e| failed(e.to_string()))?;
-    let mut views = Vec::with_capacity(arrays.len());
-    for (name, shape, values) in arrays {
-        let view = TensorView::new(Dtype::F32, shape.clone(), cast_slice(values));
-        views.push((name, view.map_err(|e| failed(e.to_string()))?));
+impl Arrays for Known<'_> {
+    type Error = NetworkError;
+
+    fn take(&mut self, name: &str, shape: &[usize]) -> Result<Vec<f32>, NetworkError> {
+        let found = self.0.get(name).filter(|array| array.shape == shape);
+        let found = found.ok_or_else(|| NetworkError::input(format!("{name} of {shape:?}"), "none"))?;
+        Ok(found.values.clone())
     }
-    serialize(views, Some(HashMap::from([(key.to_owned(), header)]))).map_err(|e| failed(e.to_string()))
 }
 
-/// Parses the bytes written by [`serialized`] into header and arrays.
-pub(crate) fn read<'a, H: DeserializeOwned>(
-    bytes: &'a [u8],
-    key: &str,
-    what: &str,
-    path: &Path,
-) -> Result<(H, SafeTensors<'a>), FileError> {
-    let wrong = |found: String| FileError::content(what, found, path);
-    let (_, head) = SafeTensors::read_metadata(bytes).map_err(|e| wrong(format!("no safetensors: {e}")))?;
-    let header = head.metadata().as_ref().and_then(|all| all.get(key));
-    let header = header.ok_or_else(|| wrong(format!("no {key} in the header")))?;
-    let header = json::parsed(header.as_bytes()).map_err(wrong)?;
-    let tensors = SafeTensors::deserialize(bytes).map_err(|e| wrong(e.to_string()))?;
-    Ok((header, tensors))
+/// Arrays of a file.
+struct Stored<'a> {
+    tensors: &'a SafeTensors<'a>,
+    path: &'a Path,
+    taken: BTreeMap<String, Array>,
 }
 
-/// Returns the values of an array; checks type, shape and finiteness.
-pub(crate) fn find(
-    tensors: &SafeTensors<'_>,
-    name: &str,
-    shape: &[usize],
-    path: &Path,
-) -> Result<Vec<f32>, FileError> {
-    let expected = || format!("{name} of f32 {shape:?}");
-    let tensor = tensors.tensor(name).map_err(|_| FileError::content(expected(), "no such array", path))?;
-    if tensor.dtype() != Dtype::F32 || tensor.shape() != shape {
-        let found = format!("{:?} {:?}", tensor.dtype(), tensor.shape());
-        return Err(FileError::content(expected(), found, path));
-    }
-    let values: Vec<f32> = pod_collect_to_vec(tensor.data());
-    match values.iter().position(|value| !value.is_finite()) {
-        None => Ok(values),
-        Some(place) => {
-            let found = format!("{} at {place}", values[place]);
-            Err(FileError::content(format!("finite numbers in {name}"), found, path))
+impl Arrays for Stored<'_> {
+    type Error = FileError;
+
+    /// Checks type, shape and finiteness.
+    fn take(&mut self, name: &str, shape: &[usize]) -> Result<Vec<f32>, FileError> {
+        let expected = || format!("{name} of f32 {shape:?}");
+        let wrong = |found: String| FileError::content(expected(), found, self.path);
+        let tensor = self.tensors.tensor(name).map_err(|_| wrong("no such array".to_owned()))?;
+        if tensor.dtype() != Dtype::F32 || tensor.shape() != shape {
+            return Err(wrong(format!("{:?} {:?}", tensor.dtype(), tensor.shape())));
         }
+        let values: Vec<f32> = pod_collect_to_vec(tensor.data());
+        if let Some(place) = values.iter().position(|value| !value.is_finite()) {
+            let found = format!("{} at {place}", values[place]);
+            return Err(FileError::content(format!("finite numbers in {name}"), found, self.path));
+        }
+        self.taken.insert(name.to_owned(), Array { shape: shape.to_vec(), values: values.clone() });
+        Ok(values)
+    }
+}
+
+/// Random arrays: matrices and convolutions with a gain of about 1, vectors of 0.
+struct RandomArrays {
+    seed: u64,
+    taken: BTreeMap<String, Array>,
+}
+
+impl Arrays for RandomArrays {
+    type Error = NetworkError;
+
+    fn take(&mut self, name: &str, shape: &[usize]) -> Result<Vec<f32>, NetworkError> {
+        let mut random: ChaCha8Rng = Seeder::from((self.seed, name)).into_rng();
+        let inputs: usize = shape.iter().skip(1).product();
+        let spread = if shape.len() > 1 { 1.0 / (inputs as f32).sqrt() } else { 0.0 };
+        let normal = || spread * <StandardNormal as Distribution<f32>>::sample(&StandardNormal, &mut random);
+        let mut values = vec![0.0; shape.iter().product()];
+        values.fill_with(normal);
+        self.taken.insert(name.to_owned(), Array { shape: shape.to_vec(), values: values.clone() });
+        Ok(values)
     }
 }

@@ -42,7 +42,7 @@ pub(crate) struct RateArgs {
 /// Frames left out of training and of skeletons.
 #[derive(Clone, Copy, Debug, Default, Args)]
 pub(crate) struct HoldOutArgs {
-    /// Held-out frames: every N-th, N - 1, 2 N - 1, ..; `train` and `build --every N` leave them out,
+    /// Held-out frames: every N-th, N - 1, 2 N - 1, ..; trainings and `build --every N` leave them out,
     /// `evaluate` and `fidelity` use them alone
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(2..))]
     pub(crate) hold_out: Option<u16>,

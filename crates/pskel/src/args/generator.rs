@@ -23,7 +23,7 @@ use crate::WrongUsage;
 #[command(next_help_heading = "Generator")]
 pub(crate) struct GeneratorArgs {
     /// Generate the cameras' images with a network: network (shipped with the program), network:FILE with
-    /// weights of `pskel train`, fill (no network: holes filled), or process:COMMAND, process:unix:PATH or
+    /// weights of `python -m pskel.train`, fill (no network: holes filled), or process:COMMAND, process:unix:PATH or
     /// process:tcp:HOST:PORT (docs/src/reference/denoiser.md). Each planning step gets steps/STEP/generated,
     /// and truth if ground truth is known. Map options apply to the written maps; the network's conditions
     /// are rendered as in its training
@@ -58,7 +58,7 @@ pub(crate) struct GeneratorArgs {
     sampler: Option<SamplerOptions>,
     /// With process:.. and fill, the recipe of the conditions as JSON, in which missing fields have their
     /// defaults; or pas-nuscenes or pas-nuplan, that of a network of the paper with the defaults of its
-    /// window, steps and guidance
+    /// window, steps and guidance [default for fill: that of the shipped network]
     #[arg(long, value_name = "RECIPE")]
     recipe: Option<PathBuf>,
     /// Captions, in place of the prompt of --annotations, by name of a recording or token of an image:
@@ -146,9 +146,9 @@ impl GeneratorArgs {
         let preset = self.preset();
         let default_guidance = preset.as_ref().map_or(1.0, |preset| preset.guidance);
         let recipe = match (&preset, &self.recipe) {
-            (Some(preset), _) => preset.recipe.clone(),
-            (None, Some(path)) => read_recipe(path)?,
-            (None, None) => defaults.recipe,
+            (Some(preset), _) => Some(preset.recipe.clone()),
+            (None, Some(path)) => Some(read_recipe(path)?),
+            (None, None) => None,
         };
         let dropped = self.guide.unwrap_or_default().into();
         let StrategyArg { strategy, clean } = self.strategy.unwrap_or_default();

@@ -5,8 +5,6 @@ use point_skeleton::Log;
 use point_skeleton::dataset::{
     DatasetError, ImageDistortion, LogLocator, LogOpener, MissingData, ReadOptions, Recording, RingMeaning,
 };
-#[cfg(feature = "network")]
-use point_skeleton::files::Inputs;
 
 use super::names::names;
 use crate::{logs, warn};
@@ -65,13 +63,6 @@ impl LogRoots {
         let reading =
             ReadOptions { rings: self.ring_is, distortion: self.image_distortion, missing: self.missing };
         LogLocator { sensor_root, map_root, allow_outside: self.allow_outside, reading, ..log.clone() }
-    }
-
-    /// Returns everything that logs are read from.
-    #[cfg(feature = "network")]
-    pub(crate) fn inputs(&self, logs: &[LogLocator]) -> Inputs {
-        let logs: Vec<LogLocator> = logs.iter().map(|log| self.locate(log)).collect();
-        Inputs::new(logs.iter().flat_map(LogLocator::inputs))
     }
 
     /// Opens a log, and warns if parts of it are missing.

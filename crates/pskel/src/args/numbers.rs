@@ -16,12 +16,6 @@ pub(crate) fn margin_m(text: &str) -> Result<f64, String> {
     finite(text).filter(|v| *v >= 0.0).ok_or_else(|| "expected meters, 0 or more".into())
 }
 
-/// Parses a number of 0 or more.
-#[cfg(feature = "network")]
-pub(crate) fn non_negative(text: &str) -> Result<f64, String> {
-    finite(text).filter(|v| *v >= 0.0).ok_or_else(|| "expected a number, 0 or more".into())
-}
-
 /// Parses a share from 0 to 1.
 pub(crate) fn share(text: &str) -> Result<f64, String> {
     finite(text).filter(|v| (0.0..=1.0).contains(v)).ok_or_else(|| "expected a share from 0 to 1".into())

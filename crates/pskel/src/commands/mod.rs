@@ -18,5 +18,3 @@ pub(super) mod splat;
 pub(super) mod templates;
 #[cfg(feature = "town")]
 pub(super) mod town;
-#[cfg(feature = "network")]
-pub(super) mod train;

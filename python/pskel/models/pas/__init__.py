@@ -20,12 +20,12 @@ except ImportError as error:
         sys.exit(f"{__name__}: {_MESSAGE}")
     raise ImportError(_MESSAGE) from error
 
+from .._condition import FrameCondition
+from .._rig import Rig
 from .checkpoint import load
-from .condition import FrameCondition
 from .config import AdapterConfig, Config
 from .ids import added_time_ids
 from .network import Conditions, Network
-from .rig import Rig
 
 if TYPE_CHECKING:
     from .denoiser import Denoiser, Models

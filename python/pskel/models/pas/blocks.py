@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import Any
+
 import torch
 from diffusers.models.adapter import AdapterBlock
 from diffusers.models.attention import FeedForward
@@ -12,6 +15,11 @@ from torch.nn.functional import scaled_dot_product_attention
 from .config import AdapterConfig
 
 __all__ = ["AlphaBlender", "ImageAdapter", "SelfAttentionBlock"]
+
+
+def _call(block: nn.Module, x: Tensor) -> Tensor:
+    out: Tensor = block(x)
+    return out
 
 
 class ImageAdapter(nn.Module):
@@ -29,12 +37,12 @@ class ImageAdapter(nn.Module):
         for convolution in self.zero_convs.parameters():
             nn.init.zeros_(convolution)
 
-    def forward(self, maps: Tensor) -> list[Tensor]:
-        """Encode maps ``[N, C, H, W]``; returns a residual ``[N, tokens, channels]`` per block."""
+    def forward(self, maps: Tensor, run: Callable[[nn.Module, Tensor], Any] = _call) -> list[Tensor]:
+        """Encode maps ``[N, C, H, W]``; returns a residual ``[N, tokens, channels]`` per block. ``run`` applies a block."""
         x = self.unshuffle(maps)
         residuals = []
         for block, convolution in zip(self.body, self.zero_convs):
-            x = block(x)
+            x = run(block, x)
             residuals.append(convolution(x).flatten(2).transpose(1, 2))
         return residuals
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import pickle
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -13,12 +12,12 @@ from safetensors import SafetensorError
 from safetensors.torch import load_file
 from torch import Tensor
 
+from .._weights import expect_tensors
 from .config import Config
 from .network import Network
 
 __all__ = ["load"]
 
-_NAMED = 3
 _ZIP = b"PK\x03\x04"
 
 
@@ -41,7 +40,7 @@ def load(
     with torch.device("meta"):
         network = Network(config)
     tensors = _read(Path(path))
-    _expect_same(network.state_dict(), tensors, path)
+    expect_tensors(network.state_dict(), tensors, path)
     weights = {name: tensor.to(device, dtype) for name, tensor in tensors.items()}
     network.load_state_dict(weights, assign=True)
     return network.eval()
@@ -78,21 +77,3 @@ def _flat(values: Any, path: Path) -> dict[str, Tensor]:
         if not isinstance(value, Tensor):
             raise ValueError(f"expected a dictionary of tensors, found {name!r} of {type(value).__name__}: {path}")
     return values
-
-
-def _expect_same(expected: Mapping[str, Tensor], found: Mapping[str, Tensor], path: str | os.PathLike[str]) -> None:
-    missing = [name for name in expected if name not in found]
-    additional = [name for name in found if name not in expected]
-    shapes = [
-        f"{name}: expected {list(expected[name].shape)}, found {list(found[name].shape)}"
-        for name in expected
-        if name in found and expected[name].shape != found[name].shape
-    ]
-    problems = [("missing", missing), ("additional", additional), ("of another shape", shapes)]
-    texts = [f"{len(names)} {kind} ({_listed(names)})" for kind, names in problems if names]
-    if texts:
-        raise ValueError(f"expected the {len(expected)} tensors of the network, found {', '.join(texts)}: {os.fspath(path)}")
-
-
-def _listed(names: list[str]) -> str:
-    return "; ".join([*names[:_NAMED], *([".."] if len(names) > _NAMED else [])])

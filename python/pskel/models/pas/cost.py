@@ -11,9 +11,9 @@ from typing import Any
 import torch
 from torch.utils.flop_counter import FlopCounterMode
 
+from .._rig import PUBLISHED, Published
 from .config import Config
 from .network import Conditions, Network, add_residuals
-from .rig import PUBLISHED, Published
 
 __all__ = ["Cost", "cost", "main"]
 

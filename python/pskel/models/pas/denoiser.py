@@ -12,14 +12,15 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
+from .._cache import Cache
+from .._condition import POINT_CHANNELS, ConditionMaps, FrameCondition, compute_keys
+from .._rig import CameraNumbers, Rig, inverse
+from .._windows import as_tensor, expect_finite, expect_window
 from .base import expect_base
-from .cache import Cache
 from .checkpoint import load
-from .condition import LAYOUT_CHANNELS, POINT_CHANNELS, ConditionMaps, FrameCondition, compute_keys
 from .config import Config
 from .ids import ids_from_motion
 from .network import Conditions, Network, add_residuals
-from .rig import Rig, inverse
 from .text import TextEncoder
 from .vae import LATENT_SCALE, ImageCodec
 
@@ -66,12 +67,16 @@ class Denoiser:
 
     A ``Denoiser`` is the function of ``pskel.ResetAndRoll``; its conditions are ``FrameCondition``. Cameras are in the order
     of ``rig``. Encoded conditions of ``cached_frames`` frames remain on the device, found by their content: calls give the
-    same result, bit for bit, with any number.
+    same result, bit for bit, with any number. ``camera_numbers`` must match the training of the network; without it, they
+    are those of the published checkpoint for these cameras.
     """
 
-    def __init__(self, models: Models, rig: Rig, *, cached_frames: int = 24) -> None:
+    def __init__(
+        self, models: Models, rig: Rig, *, cached_frames: int = 24, camera_numbers: CameraNumbers | None = None
+    ) -> None:
         self.models = models
         self.rig = rig
+        self.camera_numbers: CameraNumbers = rig.camera_numbers if camera_numbers is None else camera_numbers
         self._order = rig.order
         self._inverse = inverse(self._order)
         self._mask = rig.mask.unsqueeze(0)
@@ -126,7 +131,7 @@ class Denoiser:
         self, latents: npt.ArrayLike, timesteps: npt.ArrayLike, clips: Sequence[Sequence[FrameCondition]]
     ) -> _Array:
         """Predict velocities ``[B, L, V, C, h, w]`` of one window, for the conditions of B ``clips``."""
-        sample, levels = _tensor(latents), _tensor(timesteps)
+        sample, levels = as_tensor(latents), as_tensor(timesteps)
         for conditions in clips:
             self._expect_window(sample, levels, conditions)
         count = len(clips)
@@ -136,42 +141,31 @@ class Denoiser:
             timestep = levels[None, :, None].expand(count, *sample.shape[:2])
             output = self.models.network(samples, timestep, encoded, self._mask.expand(count, -1, -1))
             velocity: _Array = output[:, :, self._inverse].float().cpu().numpy()
-        if not np.isfinite(velocity).all():
-            raise ValueError("expected a finite prediction, found infinite or undefined values (is bf16 used?)")
+        expect_finite(velocity)
         return velocity
 
     def encode(self, images: npt.ArrayLike) -> _Array:
         """Encode RGB images ``[V, 3, H, W]`` of 0 to 1 as latents ``float32 [V, C, H/8, W/8]``."""
-        latents: _Array = self.models.codec.encode(_tensor(images)).contiguous().cpu().numpy()
+        latents: _Array = self.models.codec.encode(as_tensor(images)).contiguous().cpu().numpy()
         return latents
 
     def decode(self, latents: npt.ArrayLike) -> _Array:
         """Decode latents ``[V, C, h, w]`` to RGB images ``float32 [V, 3, 8 h, 8 w]`` of 0 to 1."""
-        images: _Array = self.models.codec.decode(_tensor(latents)).contiguous().cpu().numpy()
+        images: _Array = self.models.codec.decode(as_tensor(latents)).contiguous().cpu().numpy()
         return images
 
     def _expect_window(self, sample: Tensor, levels: Tensor, conditions: Sequence[FrameCondition]) -> None:
-        frames = len(conditions)
-        if not frames:
+        if not conditions:
             raise ValueError("expected at least 2 frames for the motion of the ego, found 0")
         size = conditions[0].layout.array.shape[2:]
-        shape = (frames, *self.latent_shape(size))
-        if tuple(sample.shape) != shape:
-            raise ValueError(f"expected latents of {list(shape)}, found {list(sample.shape)}")
-        if tuple(levels.shape) != (frames,):
-            raise ValueError(f"expected timesteps of [{frames}], found {list(levels.shape)}")
-        views = len(self.rig.cameras)
-        for condition in conditions:
-            found = condition.layout.array.shape
-            if found != (views, LAYOUT_CHANNELS, *size):
-                raise ValueError(f"expected layout of {[views, LAYOUT_CHANNELS, *size]}, found {list(found)}")
+        expect_window(sample, levels, conditions, self.latent_shape(size), size)
 
     def _encoded(self, conditions: Sequence[FrameCondition]) -> Conditions:
         """Encode the conditions of a window; adapters and text encoders run only for new content."""
         network = self.models.network
-        cameras = _tensor(np.stack([condition.cameras for condition in conditions]))[:, self._order]
-        action = _tensor(np.stack([condition.action for condition in conditions]))
-        ids = ids_from_motion(cameras, self._sizes, action, self.rig.fps)
+        cameras = as_tensor(np.stack([condition.cameras for condition in conditions]))[:, self._order]
+        action = as_tensor(np.stack([condition.action for condition in conditions]))
+        ids = ids_from_motion(cameras, self._sizes, action, self.rig.fps, camera_numbers=self.camera_numbers)
         compute_keys(maps for condition in conditions for maps in (condition.points, condition.layout))
         frames = [
             Conditions(
@@ -206,8 +200,3 @@ class Denoiser:
     def _frame(self, maps: ConditionMaps) -> Tensor:
         """Maps ``[1, 1, V, C, H, W]`` in the order of the network, on its device."""
         return torch.tensor(maps.array[self._order], device=self.models.codec.device)[None, None]
-
-
-def _tensor(array: npt.ArrayLike) -> Tensor:
-    # Convolutions round according to the order of values in memory, so it is always the same.
-    return torch.tensor(np.ascontiguousarray(array, np.float32))

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import NamedTuple
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any, NamedTuple
 
 import torch
 from diffusers.models.attention import JointTransformerBlock
@@ -15,6 +16,7 @@ from diffusers.models.embeddings import (
 )
 from diffusers.models.normalization import AdaLayerNormContinuous
 from torch import Tensor, nn
+from torch.utils.checkpoint import checkpoint
 
 from .blocks import AlphaBlender, ImageAdapter, SelfAttentionBlock
 from .config import ID_CHANNELS, Config
@@ -60,6 +62,8 @@ class Network(nn.Module):
     def __init__(self, config: Config) -> None:
         super().__init__()
         self.config = config
+        self.checkpoint_activations = False
+        """Whether blocks are computed again in the backward pass, so that only their inputs stay in memory."""
         dim, heads = config.inner_dim, config.num_attention_heads
         self.pos_embed = PatchEmbed(
             height=config.sample_size,
@@ -156,9 +160,14 @@ class Network(nn.Module):
         view: Tensor = self.view_embedding(self._sinusoids(added_time_ids, ID_CHANNELS).flatten(-2))
         return view
 
-    @staticmethod
-    def _residuals(adapter: nn.Module, maps: Tensor) -> tuple[Tensor, ...]:
-        return tuple(x.view(*maps.shape[:3], *x.shape[1:]) for x in adapter(maps.flatten(0, 2)))
+    def _residuals(self, adapter: nn.Module, maps: Tensor) -> tuple[Tensor, ...]:
+        return tuple(x.view(*maps.shape[:3], *x.shape[1:]) for x in adapter(maps.flatten(0, 2), self._run))
+
+    def _run(self, block: nn.Module, *inputs: Any) -> Any:
+        """Apply a block, which is computed again in the backward pass if ``checkpoint_activations``."""
+        if self.checkpoint_activations and torch.is_grad_enabled():
+            return checkpoint(block, *inputs, use_reentrant=False, preserve_rng_state=False)  # no block draws numbers
+        return block(*inputs)
 
     def forward(
         self,
@@ -192,17 +201,18 @@ class Network(nn.Module):
         for layer, block in enumerate(self.transformer_blocks):
             if layer < len(conditions.residuals):
                 x = x + conditions.residuals[layer]
-            text, tokens = block(x.flatten(0, 2), text, time)
+            text, tokens = self._run(block, x.flatten(0, 2), text, time)
             x = tokens.view(x.shape)
             if layer in self.config.temporal_block_layers:
                 index = self.config.temporal_block_layers.index(layer)
                 embedding = view + self._indices(self.time_pos_embeds[index], frames).view(frames, 1, 1, -1)
-                transformed = _over_frames(self.temporal_transformer_blocks[index], x + embedding)
+                transformed = _over_frames(partial(self._run, self.temporal_transformer_blocks[index]), x + embedding)
                 x = self.time_mixers[index](x, transformed, disable_temporal)
             if layer in self.config.crossview_block_layers:
                 index = self.config.crossview_block_layers.index(layer)
                 embedding = view + self._indices(self.view_pos_embeds[index], views).view(views, 1, -1)
-                transformed = _over_views(self.crossview_transformer_blocks[index], x + embedding, columns, mask)
+                run = partial(self._run, self.crossview_transformer_blocks[index])
+                transformed = _over_views(run, x + embedding, columns, mask)
                 x = self.view_mixers[index](x, transformed, disable_crossview)
         patches = self.proj_out(self.norm_out(x.flatten(0, 2), time))
         return _unpatchified(patches, rows, columns, self.config.patch_size).view(*leading, -1, *sample.shape[-2:])
@@ -244,17 +254,17 @@ def _row_mask(mask: Tensor, frames: int, rows: int, columns: int) -> Tensor:
     return tokens.repeat_interleave(frames * rows, 0).unsqueeze(1)
 
 
-def _over_frames(block: nn.Module, x: Tensor) -> Tensor:
+def _over_frames(block: Callable[..., Tensor], x: Tensor) -> Tensor:
     """Apply a block to the tokens at the same position in all frames; ``x`` is ``[B, T, V, tokens, D]``."""
     series = x.permute(0, 2, 3, 1, 4)
-    out: Tensor = block(series.flatten(0, 2))
+    out = block(series.flatten(0, 2))
     return out.view(series.shape).permute(0, 3, 1, 2, 4)
 
 
-def _over_views(block: nn.Module, x: Tensor, columns: int, mask: Tensor | None) -> Tensor:
+def _over_views(block: Callable[..., Tensor], x: Tensor, columns: int, mask: Tensor | None) -> Tensor:
     """Apply a block to the tokens in the same row of all cameras; ``x`` is ``[B, T, V, rows * columns, D]``."""
     rows = x.reshape(*x.shape[:3], -1, columns, x.shape[-1]).transpose(2, 3)
-    out: Tensor = block(rows.flatten(3, 4).flatten(0, 2), mask)
+    out = block(rows.flatten(3, 4).flatten(0, 2), mask)
     return out.view(rows.shape).transpose(2, 3).flatten(3, 4)
 
 

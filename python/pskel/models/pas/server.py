@@ -1,89 +1,45 @@
-"""Server of the denoiser protocol, version 1 (docs/src/reference/denoiser.md)."""
+"""The video network as a server of the denoiser protocol (docs/src/reference/denoiser.md)."""
 
 from __future__ import annotations
 
-import json
 import sys
-from collections.abc import Mapping
 from io import BufferedIOBase
-from typing import Any, NamedTuple, TextIO
+from typing import TextIO
 
-import numpy as np
-
-from . import messages
-from .condition import LAYOUT_CHANNELS, FrameCondition
+from .. import _protocol
+from .._protocol import Hello, Sampling
+from .._rig import CameraNumbers
 from .denoiser import Denoiser, Models
-from .messages import Message
-from .rig import Rig
 
-__all__ = ["Hello", "notices", "serve"]
+__all__ = ["notices", "serve"]
 
-_PROTOCOL = {"protocol": "pskel-denoiser", "version": "1"}
-_TENSORS = ("latents", "timesteps", "sigmas", "points", "layout", "action", "cameras")
-_Array = np.ndarray[Any, np.dtype[np.float32]]
-
-
-class Hello(NamedTuple):
-    """Announcement of the generator."""
-
-    window: int
-    size: tuple[int, int]
-    """Height and width of the conditions and images."""
-    rig: Rig
-
-    @classmethod
-    def parse(cls, texts: Mapping[str, str]) -> Hello:
-        """Convert the texts of the first message; raises ``ValueError``, which names the text that is missing or wrong."""
-        found = {name: texts.get(name) for name in _PROTOCOL}
-        if found != _PROTOCOL:
-            raise ValueError(
-                f"expected protocol pskel-denoiser of version 1, found {found['protocol']} of version {found['version']}"
-            )
-        sampler, prediction = _text(texts, "sampler"), _text(texts, "prediction")
-        if (sampler, prediction) != ("flow_match", "velocity"):
-            raise ValueError(f"expected --sampler flow_match, found {sampler} with prediction {prediction}")
-        window, views = _whole(texts, "window"), _whole(texts, "views")
-        if window < 2:
-            raise ValueError(f"expected a window of at least 2 frames, found {window}")
-        size = _text(texts, "condition_size").split(",")
-        if len(size) != 2 or not all(side.isdecimal() for side in size):
-            raise ValueError(f"expected condition_size H,W in the hello, found {texts['condition_size']!r}")
-        names = _list(texts, "cameras")
-        if len(names) != views or not all(isinstance(name, str) for name in names):
-            raise ValueError(f"expected cameras as a list of {views} names in the hello, found {texts['cameras'][:200]}")
-        sizes = _list(texts, "image_sizes")
-        if len(sizes) != views or not all(_is_size(size) for size in sizes):
-            raise ValueError(
-                f"expected image_sizes as a list of {views} [width, height] in the hello, found {texts['image_sizes'][:200]}"
-            )
-        try:
-            fps = float(_text(texts, "fps"))
-        except ValueError:
-            raise ValueError(f"expected fps as a number in the hello, found {_text(texts, 'fps')!r}") from None
-        rig = Rig(tuple(names), tuple((width, height) for width, height in sizes), fps)
-        return cls(window, (int(size[0]), int(size[1])), rig)
+_SAMPLING = Sampling("flow_match", "flow_match", "velocity")
 
 
 def serve(
-    source: BufferedIOBase, out: BufferedIOBase, models: Models, *, cached_frames: int | None = None, log: TextIO | None = None
+    source: BufferedIOBase,
+    out: BufferedIOBase,
+    models: Models,
+    *,
+    cached_frames: int | None = None,
+    camera_numbers: CameraNumbers | None = None,
+    log: TextIO | None = None,
 ) -> None:
     """Answer the messages of a generator until it closes the stream.
 
-    ``cached_frames``: see ``Denoiser``; by default twice the window. ``log`` receives notices (by default
-    standard error). Raises ``ValueError`` for messages and requests that the network cannot answer.
+    ``cached_frames`` (by default twice the window) and ``camera_numbers``: see ``Denoiser``. ``log`` receives notices
+    (by default standard error). Raises ``ValueError`` for messages and requests that the network cannot answer.
     """
-    first = messages.read(source)
-    if first is None:
-        return
-    hello = Hello.parse(first.texts)
-    denoiser = Denoiser(models, hello.rig, cached_frames=2 * hello.window if cached_frames is None else cached_frames)
-    shape = denoiser.latent_shape(hello.size)
-    for notice in notices(hello):
-        print(f"pskel.models.pas: {notice}", file=sys.stderr if log is None else log)
-    answer = {"latent_shape": _joined(shape), "dtype": "F32", "image_size": _joined(hello.size), "guidance": "true"}
-    messages.write(out, {**_PROTOCOL, **answer}, {})
-    while (message := messages.read(source)) is not None:
-        messages.write(out, *_answered(denoiser, hello, message))
+
+    def create(hello: Hello) -> Denoiser:
+        frames = 2 * hello.window if cached_frames is None else cached_frames
+        denoiser = Denoiser(models, hello.rig, cached_frames=frames, camera_numbers=camera_numbers)
+        denoiser.latent_shape(hello.size)  # refuses sizes before the notices
+        for notice in notices(hello):
+            print(f"pskel.models.pas: {notice}", file=sys.stderr if log is None else log)
+        return denoiser
+
+    _protocol.serve(source, out, _SAMPLING, create)
 
 
 def notices(hello: Hello) -> list[str]:
@@ -97,87 +53,3 @@ def notices(hello: Hello) -> list[str]:
         return []
     texts = [f"{frames} frames of {size[0]}x{size[1]} at {fps:g} per second" for frames, fps, size in (expected, found)]
     return [f"the published {known.name} checkpoint was trained with {texts[0]}, found {texts[1]}"]
-
-
-def _answered(denoiser: Denoiser, hello: Hello, message: Message) -> tuple[dict[str, str], dict[str, _Array]]:
-    """Texts and tensors of the answer to a request."""
-    texts, tensors = message
-    shape = denoiser.latent_shape(hello.size)
-    ask = texts.get("ask")
-    if ask == "predict":
-        conditions = _conditions(hello, shape, message)
-        call = {name: texts[name] for name in ("call",) if name in texts}
-        if "dropped" in texts:
-            dropped = _list(texts, "dropped", "the call")
-            if not all(isinstance(part, str) for part in dropped):
-                raise ValueError(f"expected dropped as a list of texts in the call, found {texts['dropped'][:200]}")
-            both = denoiser.predict_guided(tensors["latents"], tensors["timesteps"], conditions, dropped)
-            return call, dict(zip(("prediction", "unconditional"), both))
-        return call, {"prediction": denoiser(tensors["latents"], tensors["timesteps"], tensors["sigmas"], conditions)}
-    if ask == "encode":
-        _expect_shape(tensors, "images", (shape[0], 3, *hello.size))
-        return {}, {"latents": denoiser.encode(tensors["images"])}
-    if ask == "decode":
-        _expect_shape(tensors, "latents", shape)
-        return {}, {"images": denoiser.decode(tensors["latents"])}
-    raise ValueError(f"expected ask of predict, encode or decode, found {ask}")
-
-
-def _conditions(hello: Hello, shape: tuple[int, ...], message: Message) -> list[FrameCondition]:
-    texts, tensors = message
-    frames, views = hello.window, shape[0]
-    leading = frames, views
-    shapes = (
-        (frames, *shape),
-        (frames,),
-        (frames,),
-        (*leading, 20, *hello.size),
-        (*leading, LAYOUT_CHANNELS, *hello.size),
-        (frames, 3),
-        (*leading, 16),
-    )
-    for name, expected in zip(_TENSORS, shapes):
-        _expect_shape(tensors, name, expected)
-    prompts = _list(texts, "prompts", "the call")
-    if len(prompts) != frames or not all(isinstance(prompt, str) for prompt in prompts):
-        raise ValueError(f"expected prompts as a list of {frames} texts in the call, found {texts['prompts'][:200]}")
-    arrays = (tensors[name] for name in ("points", "layout", "action", "cameras"))
-    return [FrameCondition.create(*frame) for frame in zip(*arrays, prompts)]
-
-
-def _text(texts: Mapping[str, str], name: str, where: str = "the hello") -> str:
-    if name not in texts:
-        raise ValueError(f"expected the text {name} in {where}, found none (is pskel older than this package?)")
-    return texts[name]
-
-
-def _whole(texts: Mapping[str, str], name: str) -> int:
-    text = _text(texts, name)
-    if not text.isdecimal():
-        raise ValueError(f"expected {name} as a whole number in the hello, found {text!r}")
-    return int(text)
-
-
-def _list(texts: Mapping[str, str], name: str, where: str = "the hello") -> list[Any]:
-    text = _text(texts, name, where)
-    try:
-        values = json.loads(text)
-    except ValueError:
-        values = None
-    if not isinstance(values, list):
-        raise ValueError(f"expected {name} as a list in {where}, found {text[:200]}")
-    return values
-
-
-def _is_size(value: Any) -> bool:
-    return isinstance(value, list) and len(value) == 2 and all(type(side) is int and side > 0 for side in value)
-
-
-def _joined(numbers: tuple[int, ...]) -> str:
-    return ",".join(map(str, numbers))
-
-
-def _expect_shape(tensors: Mapping[str, _Array], name: str, shape: tuple[int, ...]) -> None:
-    if name not in tensors or tensors[name].shape != shape:
-        found = str(list(tensors[name].shape)) if name in tensors else "none"
-        raise ValueError(f"expected the tensor {name} of {list(shape)}, found {found}")

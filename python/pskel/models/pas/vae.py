@@ -9,7 +9,7 @@ import torch
 from diffusers import AutoencoderKL
 from torch import Tensor
 
-from .base import first_line
+from .._files import first_line
 
 __all__ = ["LATENT_SCALE", "ImageCodec"]
 
@@ -49,7 +49,20 @@ class ImageCodec:
         """Encode RGB images ``[N, 3, H, W]`` of 0 to 1 as the mode of the posterior, ``float32 [N, C, H/8, W/8]``."""
         with torch.inference_mode():
             latents: Tensor = self.vae.encode(images.to(self.device, torch.float32) * 2.0 - 1.0).latent_dist.mode()
-            return (latents - self.shift) * self.scale
+            return self.scaled(latents)
+
+    def posterior(self, images: Tensor) -> tuple[Tensor, Tensor]:
+        """Encode images as for ``encode``; returns mean and deviation of the posterior, before shift and scale.
+
+        Always in single precision. Unlike those of ``encode``, the results may be inputs of a network in training.
+        """
+        with torch.no_grad(), torch.autocast(self.device.type, enabled=False):
+            distribution = self.vae.encode(images.to(self.device, torch.float32) * 2.0 - 1.0).latent_dist
+            return distribution.mean, distribution.std
+
+    def scaled(self, z: Tensor) -> Tensor:
+        """Shift and scale values ``z`` of the posterior to latents."""
+        return (z - self.shift) * self.scale
 
     def decode(self, latents: Tensor) -> Tensor:
         """Decode latents ``[N, C, h, w]`` to RGB images ``float32 [N, 3, 8 h, 8 w]`` of 0 to 1."""

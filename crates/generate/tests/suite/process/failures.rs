@@ -157,7 +157,7 @@ fn windows_other_than_declared_are_not_sent() {
     let thin = Latent::filled(LatentShape { channels: 1, ..SHAPE }, 0.0);
     let narrow = FrameConditions { size: ImageSize { width: 23, ..SIZE }, ..conditions(0) };
     let blind = FrameConditions { cameras: Vec::new(), ..conditions(0) };
-    let short = FrameConditions { layout: Vec::new(), ..conditions(0) };
+    let short = FrameConditions { bins: Vec::new(), ..conditions(0) };
     let last = |latent: &Latent, condition: &FrameConditions| (latent.clone(), condition.clone());
     let mut error = |count: usize, (latent, condition): (Latent, FrameConditions)| {
         let level = Level { timestep: 1.0, sigma: 0.1 };
@@ -171,7 +171,7 @@ fn windows_other_than_declared_are_not_sent() {
         (3, last(&thin, &good.1), "latents of 2x3x2x3 for frame 3 of the window, found 2x1x2x3"),
         (3, last(&good.0, &narrow), "frame 3 of the window, found 2 of"),
         (3, last(&good.0, &blind), "frame 3 of the window, found 0 of"),
-        (3, last(&good.0, &short), "(15360 and 0 values)"),
+        (3, last(&good.0, &short), "24, not whole"),
     ] {
         let message = error(count, frame).unwrap_err();
         assert!(message.contains(said), "{message}");

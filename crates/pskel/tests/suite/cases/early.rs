@@ -5,8 +5,6 @@ use std::os::unix::fs::{PermissionsExt, symlink};
 use std::path::Path;
 use std::process::{Command, Output};
 
-use serde_json::json;
-
 use crate::simulate::built;
 use crate::tiny_log::RunPskel as _;
 use crate::tiny_log::{PSKEL, TinyLog, assert_failed, tree};
@@ -135,43 +133,6 @@ fn rollouts_without_a_step_are_not_resumed() {
         rollout/steps/000000";
     assert_failed(&output, 1, &[expected]);
     assert!(tree(&log.path("rollout")) == before);
-}
-
-/// Nothing is recorded for a training that cannot begin.
-#[test]
-fn trainings_that_cannot_begin_record_nothing() {
-    let log = TinyLog::new();
-    for (name, frames) in [("net.json", 2), ("three.json", 3)] {
-        let network = json!({"recipe": {"drawn": "32x64", "size": "16x32"}, "frames": frames, "width": 32,
-            "head": 16,
-            "hidden": 32, "blocks": ["s", "t"]});
-        std::fs::write(log.path(name), network.to_string()).unwrap();
-    }
-    let train = "train nuscenes:log --variants 1 --batch 1 --config net.json --checkpoint 1 --steps 2 \
-        --rasterizer cpu --out tr";
-    for (args, code, part) in [
-        (
-            train.replace("--config net.json ", ""),
-            1,
-            "expected at least 4 frames, the window of the network, found 3: log nuscenes:log",
-        ),
-        (
-            format!("{train} --hold-out 2").replace("net.json", "three.json"),
-            1,
-            "expected at least 3 frames that are not held out, the window of the network, found 2: log \
-                nuscenes:log",
-        ),
-        (format!("{train} --drives ./tr"), 2, "expected two folders for --out and --drives, found ./tr"),
-    ] {
-        assert_failed(&log.run(&args), code, &[part]);
-        assert!(!log.path("tr").exists(), "{args}");
-    }
-    let output = log.run(train);
-    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-    std::fs::remove_dir_all(log.path("tr/drives")).unwrap();
-    let output = log.run(&format!("{} --resume", train.replace("--steps 2", "--steps 3")));
-    assert_failed(&output, 1, &["expected the options of the earlier training, options.steps 2, found 3"]);
-    assert!(!log.path("tr/drives").exists());
 }
 
 #[test]

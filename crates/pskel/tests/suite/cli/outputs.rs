@@ -21,16 +21,11 @@ const EXTERNAL: &str = "simulate nuscenes:log --skeleton sk --out out --maps dep
 const TOWN: &str = "town seed=5,frames=1,size=57x100 --out out";
 const TEMPLATES: &str = "templates sk --min-points 1 --out out";
 const CONVERT: &str = "convert sk --out out";
-const TRAIN: &str =
-    "train town:seed=5,frames=3,size=28x50 --variants 1 --batch 1 --config net.json --steps 1 --out out";
-const NETWORK: &str = r#"{"recipe": {"drawn": "32x64", "size": "16x32"}, "frames": 2, "width": 32, "head": 16,
-    "hidden": 32, "blocks": ["s", "t"]}"#;
 
 /// Returns a log with a skeleton, without a folder `out`.
 fn ready() -> TinyLog {
     let log = built();
     std::fs::remove_dir_all(log.path("out")).unwrap();
-    std::fs::write(log.path("net.json"), NETWORK).unwrap();
     log
 }
 
@@ -50,7 +45,6 @@ fn foreign_files_are_never_deleted() {
         (TEMPLATES, "car.png", "out/thesis.png"),
         (RENDER, "index.json", "out/000001/CAM_FRONT/thesis.tex"),
         (SIMULATE, "steps/thesis.tex", "out/steps/000001/thesis.tex"),
-        (TRAIN, "loss.csv", "out/loss.svg/thesis.tex"),
     ] {
         let log = ready();
         put(&log, &format!("out/{fresh}"));

@@ -9,7 +9,7 @@ use serde_json::{Value, json};
 use super::{assert_page_is_whole, built, planner};
 use crate::tiny_log::RunPskel as _;
 use crate::tiny_log::{CAMERAS, HEIGHT, TinyLog, WIDTH, assert_failed, picture, tree};
-use pskel_testing::small_network::{clip, weights};
+use pskel_testing::small_network::weights;
 
 const GENERATE: &str = "generate nuscenes:log --skeleton sk --out out --rasterizer cpu --maps color \
     --generator process:./denoiser.sh";
@@ -147,7 +147,7 @@ fn generated_images_are_written_back_into_the_data_set() {
 #[test]
 fn a_closed_loop_resumes_to_the_same_bytes() {
     let log = built();
-    weights(&[clip(1, 6)]).write(&log.path("w.safetensors")).unwrap();
+    weights().write(&log.path("w.safetensors")).unwrap();
     let args = |out: &str| {
         format!(
             "simulate nuscenes:log --skeleton sk --out {out} --rasterizer cpu --maps color,instance --sim-hz \
@@ -321,7 +321,7 @@ fn planners_see_generated_images_instead_of_ground_truth() {
 fn invalid_generators_are_rejected_before_writing() {
     let log = built();
     denoiser(&log, "");
-    weights(&[clip(1, 6)]).write(&log.path("w.safetensors")).unwrap();
+    weights().write(&log.path("w.safetensors")).unwrap();
     let network = GENERATE.replace("process:./denoiser.sh", "network:w.safetensors");
     for (args, code, parts) in [
         (GENERATE.replace("process:", "procession:"), 2, ["network:FILE", "process:"]),

@@ -1,0 +1,1 @@
+"""Readers of training clips: recordings, exports, and logs that are rendered."""

@@ -1,0 +1,183 @@
+"""Logs that are rendered on the fly, and recordings of them.
+
+Variant 0 of a log is as recorded. The others have degraded assets, and in synthetic towns a moved ego with images of its pose.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import zlib
+from collections import OrderedDict
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ..errors import DataError, first_line
+from .captions import Captions
+from .logs import LogDrive, LogMaps, Opened
+from .recipe import depth_bins, renderer_keywords
+from .recorded import Recorder
+
+if TYPE_CHECKING:
+    import pskel
+
+__all__ = ["RenderedDrive", "Variant", "record"]
+
+SEED = 1
+"""Seed of moved poses and degraded assets. It is not the training's: trainings share recordings."""
+BESIDE_M = 3.5
+"""Maximum offset of a moved ego to either side."""
+TURNED_RAD = 0.1
+_OPEN_RENDERERS = 2
+"""Renderers of a process; each has its points on the device."""
+
+
+@dataclass(frozen=True)
+class Variant:
+    """Difference to the recorded drive."""
+
+    number: int = 0
+    left_m: float = 0.0
+    yaw_rad: float = 0.0
+    assets: int | None = None
+    """Seed for degrading assets."""
+
+    @classmethod
+    def create(cls, log: str, number: int, *, town: bool, augment: bool) -> Variant:
+        """Return a variant of a log. Recorded images exist at the recorded poses alone, so that only towns are moved."""
+        if number == 0:
+            return cls()
+        random = np.random.default_rng((SEED, zlib.crc32(log.encode()), number))
+        left_m, yaw_rad = (float(random.uniform(-most, most)) if town else 0.0 for most in (BESIDE_M, TURNED_RAD))
+        return cls(number, left_m, yaw_rad, SEED ^ number if augment else None)
+
+
+_RECORDED = Variant()
+
+
+class RenderedDrive(LogDrive):
+    """A log that is rendered whenever its frames are read."""
+
+    def __init__(
+        self,
+        text: str,
+        skeleton: str | os.PathLike[str],
+        recipe: Mapping[str, Any],
+        change: Variant = _RECORDED,
+        *,
+        captions: Captions | None = None,
+        rasterizer: str = "auto",
+    ) -> None:
+        super().__init__(text, recipe, captions)
+        self.skeleton = Path(skeleton)
+        self.change = change
+        self.variant = change.number
+        self.rasterizer = rasterizer
+
+    def scene(self, log: pskel.Log, frame: int) -> pskel.Scene:
+        """Return the scene at a key frame, with its ego moved."""
+        scene, change = log[frame], self.change
+        if change.left_m == 0 and change.yaw_rad == 0:
+            return scene
+        return scene.move_ego(left_m=change.left_m, yaw_deg=float(np.degrees(change.yaw_rad)))
+
+    def maps(self, scene: pskel.Scene, frame: int) -> LogMaps:
+        """Render the maps of a scene; the map of a log without an HD map is black."""
+        key = (self.text, self.variant)
+        opened = _renderers.pop(key, None)
+        if opened is None or opened.process != os.getpid():
+            opened = Opened(os.getpid(), _Renderer(self))
+        while len(_renderers) >= _OPEN_RENDERERS:
+            other = _renderers.popitem(last=False)[1]
+            if other.process == os.getpid():
+                other.value.close()
+        _renderers[key] = opened
+        renderer: _Renderer = opened.value
+        return renderer.render(scene)
+
+    def identity(self) -> str:
+        """Return a digest of everything that a recording depends on, but the pixels of recorded images."""
+        skeleton = self.skeleton / "skeleton.json"
+        content = skeleton.read_bytes() if skeleton.is_file() else b""
+        change = (self.log, self.change.left_m, self.change.yaw_rad, self.change.assets)
+        assert self.times_us is not None
+        text = json.dumps([change, self.recipe, list(self.names), self.times_us.tolist()], sort_keys=True)
+        return hashlib.sha256(text.encode() + content).hexdigest()[:32]
+
+
+_renderers: OrderedDict[tuple[str, int], Opened] = OrderedDict()
+
+
+class _Renderer:
+    """A renderer of a drive, which learns from the first frame whether the log has an HD map."""
+
+    def __init__(self, drive: RenderedDrive) -> None:
+        self._drive = drive
+        self._renderer = self._open(["color", "depth", "boxes", "map"])
+
+    def _open(self, maps: list[str]) -> pskel.Renderer:
+        import pskel
+
+        drive = self._drive
+        try:
+            return pskel.Renderer(
+                pskel.Skeleton(drive.skeleton),
+                maps=maps,
+                log=drive.log,
+                augment=drive.change.assets,
+                rasterizer=drive.rasterizer,
+                **renderer_keywords(drive.recipe),
+            )
+        except (pskel.Error, ValueError) as error:
+            raise self._failed(error) from error
+
+    def _failed(self, error: Exception) -> DataError:
+        return DataError(f"the log cannot be rendered: {first_line(error)}: {self._drive.text}")
+
+    def render(self, scene: pskel.Scene) -> LogMaps:
+        import pskel
+
+        try:
+            maps = self._renderer.render(scene)
+        except pskel.Error as error:
+            raise self._failed(error) from error
+        except ValueError as error:
+            if "expected an HD map" not in str(error):
+                raise self._failed(error) from error
+            self._renderer.close()
+            self._renderer = self._open(["color", "depth", "boxes"])
+            return self.render(scene)
+        bins = depth_bins(maps["depth"], self._drive.recipe["bins"])
+        return LogMaps(maps["color"], bins, maps["boxes"], maps.get("map", np.zeros_like(maps["color"])))
+
+    def close(self) -> None:
+        self._renderer.close()
+
+
+def record(drive: RenderedDrive, path: Path) -> None:
+    """Record a drive. Raises ``DataError`` if it cannot be rendered or written."""
+    views = range(len(drive.names))
+    frames = [frame for run in drive.runs for frame in run]
+    identity = drive.identity()
+    about = {"log": drive.log, "source": identity, "hz": drive.hz, "cameras": list(drive.names), "recipe": drive.recipe}
+    clip = {"variant": drive.variant, "identity": identity, "captions": [list(drive.captions(frame)) for frame in frames]}
+    try:
+        with Recorder(path, about, clip, len(frames)) as recorder:
+            assert drive.times_us is not None
+            recorder.write("t_us", drive.times_us)
+            for frame in frames:
+                read = drive.read([frame], views)
+                for name, tensor in (("color", read.color), ("boxes", read.boxes), ("map", read.map), ("truth", read.images)):
+                    recorder.write(name, tensor[0].permute(0, 2, 3, 1).numpy(), frame)
+                recorder.write("bins", read.bins[0].numpy(), frame)
+                recorder.write("cameras", read.cameras[0].numpy(), frame)
+                recorder.write("action", drive.motion(frame - 1, frame) if frame else np.zeros(3, np.float32), frame)
+                recorder.write("global_from_ego", read.global_from_ego[0], frame)
+            recorder.write("original_sizes", read.original_sizes)
+    except OSError as error:
+        raise DataError(f"the recording cannot be written: {error.strerror}: {path}") from error

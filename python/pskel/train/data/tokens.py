@@ -1,0 +1,98 @@
+"""Tokens of the images of a log, which name the files of the layout pas-cache.
+
+``pskel.Log`` does not have them, so they are read from the tables of nuScenes and nuPlan.
+"""
+
+from __future__ import annotations
+
+import re
+import sqlite3
+from collections import defaultdict
+from collections.abc import Sequence
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+from ..errors import DataError, first_line
+from .exports import read_json
+
+__all__ = ["tokens_of"]
+
+_LOCATOR = re.compile(r"(?:(?P<format>[a-z0-9]+):)?(?P<path>[^@#]+)(?:@(?P<version>[^#]*))?(?:#(?P<scene>.*))?")
+
+
+def tokens_of(text: str, log: str, times_us: Sequence[int], cameras: Sequence[str]) -> list[dict[str, str]]:
+    """Return the tokens of the images of each key frame by camera.
+
+    ``text`` is what ``pskel.Log`` opens, ``log`` the name of the log. An image belongs to the key frame that is nearest in time.
+    Raises ``DataError`` for a log of another format than nuScenes, nuPlan and the synthetic town.
+    """
+    if text.startswith("town:"):
+        return [{camera: f"{frame:06d}_{camera}" for camera in cameras} for frame in range(len(times_us))]
+    match = _LOCATOR.fullmatch(text)
+    path = Path(match["path"]) if match else Path(text)
+    kind = match["format"] if match else None
+    if kind == "nuplan" or (kind is None and path.suffix == ".db"):
+        return _nuplan(path, times_us, cameras)
+    if kind in (None, "nuscenes") and path.is_dir():
+        return _nuscenes(path, match["version"] if match else None, log, len(times_us))
+    raise DataError(f"expected a log of nuScenes or nuPlan for data.pas_cache, found {text}")
+
+
+def _nuscenes(root: Path, version: str | None, log: str, frames: int) -> list[dict[str, str]]:
+    folders = [root / version] if version else sorted(path.parent for path in root.glob("*/sample_data.json"))
+    folders = folders or [root]
+    if len(folders) > 1:
+        names = ", ".join(folder.name for folder in folders)
+        raise DataError(f"expected a version after @, found several ({names}): {root}")
+    scenes = _nuscenes_tokens(folders[0])
+    if log not in scenes:
+        raise DataError(f"expected scene {log}, found {len(scenes)} others: {folders[0] / 'scene.json'}")
+    if len(scenes[log]) != frames:
+        raise DataError(f"expected {frames} key frames of {log}, found {len(scenes[log])}: {folders[0] / 'sample.json'}")
+    return scenes[log]
+
+
+@lru_cache(maxsize=1)
+def _nuscenes_tokens(tables: Path) -> dict[str, list[dict[str, str]]]:
+    """Return the tokens of the key frames of all scenes."""
+
+    def table(name: str) -> list[dict[str, Any]]:
+        rows: list[dict[str, Any]] = read_json(tables / f"{name}.json", "a table of nuScenes")
+        return rows
+
+    try:
+        channels = {row["token"]: row["channel"] for row in table("sensor")}
+        channels = {row["token"]: channels[row["sensor_token"]] for row in table("calibrated_sensor")}
+        images: dict[str, dict[str, str]] = defaultdict(dict)
+        for row in table("sample_data"):
+            if row["is_key_frame"]:
+                images[row["sample_token"]][channels[row["calibrated_sensor_token"]]] = row["token"]
+        names = {row["token"]: row["name"] for row in table("scene")}
+        samples: dict[str, list[tuple[int, str]]] = defaultdict(list)
+        for row in table("sample"):
+            samples[names[row["scene_token"]]].append((int(row["timestamp"]), row["token"]))
+    except (KeyError, TypeError) as error:
+        raise DataError(f"expected tables of nuScenes, found one without {error}: {tables}") from None
+    return {name: [images[token] for _, token in sorted(rows)] for name, rows in samples.items()}
+
+
+def _nuplan(path: Path, times_us: Sequence[int], cameras: Sequence[str]) -> list[dict[str, str]]:
+    query = (
+        "SELECT image.token, image.timestamp, camera.channel FROM image JOIN camera ON camera.token = image.camera_token "
+        "ORDER BY image.timestamp, image.token"
+    )
+    try:
+        with sqlite3.connect(f"file:{path}?mode=ro", uri=True) as database:
+            rows = database.execute(query).fetchall()
+    except sqlite3.Error as error:
+        raise DataError(f"expected a log of nuPlan, found {first_line(error)}: {path}") from error
+    images: dict[str, list[tuple[int, str]]] = defaultdict(list)
+    for token, t_us, channel in rows:
+        images[channel].append((int(t_us), token.hex() if isinstance(token, bytes) else str(token)))
+    if missing := [camera for camera in cameras if not images[camera]]:
+        raise DataError(f"expected images of {missing[0]}, found none: {path}")
+    return [
+        {camera: min(images[camera], key=lambda image: (abs(image[0] - t_us), image[0]))[1] for camera in cameras}
+        for t_us in times_us
+    ]

@@ -1,0 +1,155 @@
+"""The training step equals the authors', in all cases of the fixture."""
+
+import os
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+torch = pytest.importorskip("torch")
+pytest.importorskip("diffusers")
+pytest.importorskip("safetensors")
+SHARED = Path(os.environ.get("PSKEL_SHARED", Path(__file__).parents[4] / "shared"))
+FIXTURES = Path(os.environ.get("PSKEL_FIXTURES", SHARED / "fixtures"))
+if not (FIXTURES / "pas-train").exists():
+    pytest.skip("pas-train is not there (set PSKEL_SHARED)", allow_module_level=True)
+
+from diffusers import AutoencoderKL  # noqa: E402
+from pas_steps import STEPS, Case, batch_of, draws_of, network_of, read_case, read_meta, step_of  # noqa: E402
+from pskel.models.pas.training.step import loss_of, noisy_inputs, sampled_latents, sigmas_of  # noqa: E402
+from pskel.models.pas.vae import ImageCodec  # noqa: E402
+from safetensors.torch import load_file  # noqa: E402
+
+CASES = list(read_meta()["cases"])
+SHIFT, SCALE = 0.0609, 1.5305
+
+
+def rms(tensor: Any) -> float:
+    return float(tensor.double().square().mean().sqrt())
+
+
+def error(found: Any, expected: Any) -> float:
+    """Maximum error over the RMS of the expected values."""
+    assert found.shape == expected.shape
+    return float((found.double() - expected.double()).abs().max()) / rms(expected)
+
+
+@pytest.fixture(scope="module")
+def codec() -> ImageCodec:
+    vae = AutoencoderKL(**read_meta()["vae"])
+    loaded = vae.load_state_dict(load_file(STEPS / "vae.safetensors"), strict=False)
+    assert not loaded.unexpected_keys and all(name.startswith("decoder.") for name in loaded.missing_keys)
+    return ImageCodec(vae)
+
+
+@pytest.fixture(scope="module", params=CASES)
+def case(request: pytest.FixtureRequest) -> Case:
+    return read_case(request.param)
+
+
+def latents_of(case: Case, codec: ImageCodec, step: dict[str, Any]) -> Any:
+    images = case.batch["images"]
+    mean, std = (part.view(*images.shape[:3], *part.shape[1:]) for part in codec.posterior(images.flatten(0, 2) / 255.0))
+    if "posterior_mean" in step:
+        assert error(mean, step["posterior_mean"]) < 1e-5 and error(std, step["posterior_std"]) < 1e-5
+    return sampled_latents(mean, std, step["draw.posterior_noise"], codec.shift, codec.scale)
+
+
+def test_there_are_all_kinds_of_cases() -> None:
+    assert {"nuscenes", "nuplan.points", "nuplan.layout"} < set(CASES) and len(CASES) == 11
+    assert {name.partition(".")[2] for name in CASES if name.startswith("dropouts")} == {
+        *("text", "boxes", "map", "action", "depth", "color", "single_frames", "all")
+    }
+
+
+def test_inputs_equal_the_authors(case: Case, codec: ImageCodec) -> None:
+    assert (codec.shift, codec.scale) == (SHIFT, SCALE)
+    batch = batch_of(case)
+    for index in range(case.meta["steps"]):
+        step = step_of(case, index)
+        draws = draws_of(step)
+        latents = latents_of(case, codec, step)
+        inputs, targets = noisy_inputs(batch, latents, draws, case.options, with_points=case.with_points)
+        errors = {
+            "sample": error(inputs.sample, step["sample"]),
+            "timestep": error(inputs.timestep, step["timestep"]),
+            "sigma": error(targets.sigma, step["sigma"]),
+            "pooled": error(inputs.pooled, step["pooled_projections"]),
+        }
+        probed = {"image": inputs.layout}
+        if inputs.points is not None:
+            probed |= {"clr": inputs.points[:, :, :, :3], "depth": inputs.points[:, :, :, 3:]}
+        for name, maps in probed.items():
+            assert torch.equal(maps[..., 5, 7], step[f"probe_condition_{name}_tensor"]), name
+        if "latents" in step:
+            errors["latents"] = error(latents, step["latents"])
+            assert torch.equal(inputs.text, step["encoder_hidden_states"])
+        assert max(errors.values()) < 1e-5, errors
+        assert float((inputs.ids - step["added_time_ids"]).abs().max()) < 1e-4
+        assert torch.equal(inputs.single_frames, step["single_frames"].bool())
+        assert torch.equal(targets.sample, inputs.sample)
+
+
+def test_losses_and_gradients_equal_the_authors(case: Case, codec: ImageCodec) -> None:
+    batch, network = batch_of(case), network_of()
+    rate = case.meta["learning_rate"]
+    optimizer = torch.optim.AdamW(network.parameters(), lr=rate)
+    for index in range(case.meta["steps"]):
+        step = step_of(case, index)
+        latents = latents_of(case, codec, step)
+        inputs, targets = noisy_inputs(batch, latents, draws_of(step), case.options, with_points=case.with_points)
+        optimizer.zero_grad()
+        velocity = network(inputs)
+        loss = loss_of(velocity, targets)
+        loss.backward()
+        assert error(velocity, step["prediction"]) < 1e-5
+        assert abs(float(loss) / float(step["loss"]) - 1.0) < 2e-6
+        assert abs(float(loss) / case.meta["losses"][index] - 1.0) < 2e-6
+        expect_gradients(network, step, case)
+        optimizer.step()
+    expect_parameters(network, case, rate)
+
+
+def expect_gradients(network: Any, step: dict[str, Any], case: Case) -> None:
+    gradients = {name: parameter.grad for name, parameter in network.network.named_parameters() if parameter.grad is not None}
+    assert len(gradients) == case.meta["parameters"]
+    for name, found in gradients.items():
+        scale = float(step[f"grad_norm.{name}"]) / found.numel() ** 0.5
+        assert abs(float(found.double().norm()) / found.numel() ** 0.5 - scale) < 2e-4 * scale, name
+        assert float((sampled(found) - step[f"grad_sample.{name}"]).abs().max()) < 2e-4 * scale, name
+        if f"grad.{name}" in step:
+            assert float((found - step[f"grad.{name}"]).abs().max()) < 2e-4 * scale, name
+
+
+def sampled(tensor: Any) -> Any:
+    """The entries of the fixture."""
+    flat = tensor.flatten()
+    return flat if len(flat) <= 64 else flat[torch.arange(64) * len(flat) // 64]
+
+
+def expect_parameters(network: Any, case: Case, rate: float) -> None:
+    """Parameters after all steps, within 0.05 learning rates, and 0.005 in RMS where all are known."""
+    part = case.name.partition(".")[2]
+    prefix = f"{part}." if case.file != "nuscenes" else ""
+    whole, samples = f"{prefix}after.", f"{prefix}after_sample."
+    known = 0
+    for name, parameter in network.network.named_parameters():
+        if whole + name in case.tensors:
+            difference = (parameter - case.tensors[whole + name]).detach() / rate
+            assert float(difference.abs().max()) < 0.05 and rms(difference) < 0.005, name
+            known += 1
+        elif samples + name in case.tensors:
+            assert float((sampled(parameter) - case.tensors[samples + name]).abs().max()) < 0.05 * rate, name
+            root = parameter.numel() ** 0.5
+            norm = float(case.tensors[f"{prefix}after_norm.{name}"])
+            assert abs(float(parameter.detach().double().norm()) - norm) < 0.05 * rate * root, name
+            known += 1
+    assert known == (284 if case.name in ("nuscenes", "nuplan.points") else 0)
+
+
+def test_levels_are_of_the_table() -> None:
+    """Quantiles of the noise levels, by hand: sigma = 3 s / (1 + 2 s), s = 1 - sigmoid(n)."""
+    normal = torch.tensor([-1.6448536, -0.6744898, 0.0, 0.6744898, 1.6448536])
+    expected = [0.94, 0.86, 0.75, 0.60, 0.37]
+    assert torch.allclose(sigmas_of(normal), torch.tensor(expected), atol=0.005)
+    assert sigmas_of(torch.tensor([-100.0, 100.0])).tolist() == pytest.approx([1.0, 0.003 / 1.002])
