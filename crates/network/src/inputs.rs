@@ -21,6 +21,8 @@ pub(super) const EGO: usize = 4;
 const EGO_SCALES: [f32; 3] = [2.0, 0.5, 0.1];
 /// Center of colors and depths.
 const CENTER: f32 = 0.5;
+/// Filled colors and depths are shown as `GAIN (value - CENTER)`, about as large as the other numbers.
+const GAIN: f32 = 4.0;
 
 /// Conditions of a frame for encoder and denoiser.
 #[derive(Clone, Debug)]
@@ -40,7 +42,7 @@ pub(crate) struct WorkInputs {
 pub(crate) struct FullInputs {
     /// Numbers of 2x2 pixels, `[V, H/2, W/2, 64]`: channel `4 c + 2 y + x`.
     pub(crate) planes: Images,
-    /// Filled color around 0, `[V H W]`.
+    /// Filled color, `[V H W]`.
     pub(crate) color: Vec<[f32; 3]>,
 }
 
@@ -142,10 +144,9 @@ pub(super) fn filled_color(frame: &FrameConditions, view: usize) -> Vec<[f32; 3]
     fill(color, &known, frame.size.width as usize)
 }
 
-/// Returns the numbers of 2x2 pixels, `[H/2 W/2, 64]`, and the filled color around 0, `[H W]`.
+/// Returns the numbers of 2x2 pixels, `[H/2 W/2, 64]`, and the filled color, `[H W]`.
 fn full_planes(maps: &Maps<'_>, [height, width]: [usize; 2]) -> (Vec<f32>, Vec<[f32; 3]>) {
     let color = fill(maps.color.clone(), &maps.has_color, width);
-    let color: Vec<[f32; 3]> = color.into_iter().map(|pixel| pixel.map(|c| c - CENTER)).collect();
     let depth = fill(maps.depth.clone(), &maps.has_depth, width);
     let pixels = height * width;
     let mut planes = vec![0.0; pixels * PLANES];
@@ -153,7 +154,7 @@ fn full_planes(maps: &Maps<'_>, [height, width]: [usize; 2]) -> (Vec<f32>, Vec<[
         let (y, x) = (i / width, i % width);
         let numbers = numbers(
             color[i],
-            depth[i][0] - CENTER,
+            depth[i][0],
             [maps.has_color[i], maps.has_depth[i]].map(|known| if known { 1.0 } else { 0.0 }),
             maps.layout(i),
             direction(maps.camera, place([y, x], [height, width])),
@@ -178,8 +179,8 @@ fn work_planes(maps: &Maps<'_>, [height, width]: [usize; 2]) -> Vec<f32> {
             layout.iter_mut().zip(maps.layout(pixel)).for_each(|(sum, level)| *sum += level);
         }
         planes.extend(numbers(
-            color[i].map(|c| c - CENTER),
-            depth[i][0] - CENTER,
+            color[i],
+            depth[i][0],
             [color_share[i], depth_share[i]],
             layout.map(|sum| sum / (WORK * WORK) as f32),
             direction(maps.camera, place([y, x], [height, width])),
@@ -209,7 +210,7 @@ fn reduced<const C: usize>(values: &[[f32; C]], known: &[bool], width: usize) ->
 }
 
 fn numbers(color: [f32; 3], depth: f32, known: [f32; 2], layout: [f32; 6], ray: [f64; 3]) -> [f32; PLANES] {
-    let [r, g, b] = color;
+    let [r, g, b, depth] = [color[0], color[1], color[2], depth].map(|value| GAIN * (value - CENTER));
     let [x, y, z] = ray.map(|d| d as f32);
     let [l0, l1, l2, l3, l4, l5] = layout;
     [r, g, b, depth, known[0], known[1], l0, l1, l2, l3, l4, l5, x, y, z, 0.0]
@@ -218,7 +219,7 @@ fn numbers(color: [f32; 3], depth: f32, known: [f32; 2], layout: [f32; 6], ray: 
 /// Returns the mean colors of 4x4 places of planes `[H/4 W/4, 16]`, 0 to 1, `[h w, 3]`.
 fn cells(planes: &[f32], width: usize) -> Vec<f32> {
     let colors: Vec<[f32; 3]> =
-        planes.chunks(PLANES).map(|numbers| [0, 1, 2].map(|c| numbers[c] + CENTER)).collect();
+        planes.chunks(PLANES).map(|numbers| [0, 1, 2].map(|c| numbers[c] / GAIN + CENTER)).collect();
     means(&colors, width, CELL / WORK)
 }
 
@@ -353,20 +354,20 @@ mod tests {
             let block = &full.planes.values[(y / 2 * 32 + x / 2) * 64..][..64];
             let row: [f32; 16] = std::array::from_fn(|c| block[4 * c + 2 * (y % 2) + x % 2]);
             let known = if pixel == at { 1.0 } else { 0.0 };
-            let expected = [&[-0.3, -0.1, 0.3, -0.3, known, known][..], &layout].concat();
+            let expected = [&[-1.2, -0.4, 1.2, -1.2, known, known][..], &layout].concat();
             assert!(row[..12].iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-6), "{pixel} {row:?}");
             assert!((row[12..15].iter().map(|d| d * d).sum::<f32>() - 1.0).abs() < 1e-5 && row[15] == 0.0);
         }
         for (place, row) in work.planes.values.chunks(16).enumerate() {
             let share = if place == 16 + 2 { 1.0 / 16.0 } else { 0.0 };
-            let expected = [&[-0.3, -0.1, 0.3, -0.3, share, share][..], &layout].concat();
+            let expected = [&[-1.2, -0.4, 1.2, -1.2, share, share][..], &layout].concat();
             assert!(row[..12].iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-6), "{place} {row:?}");
         }
         assert!(work.cells.chunks(3).all(|c| (c[0] - 0.2).abs() < 1e-6 && (c[2] - 0.8).abs() < 1e-6));
         let (full, work) = of(&frame.without(DroppedConditions::ALL));
         let is_dropped = |row: &[f32]| row[..6] == [0.0; 6] && (row[6] - NO_COLOR).abs() < 1e-6;
         assert!(work.planes.values.chunks(16).all(is_dropped));
-        assert!(full.color.iter().all(|color| *color == [0.0; 3]) && work.cells.iter().all(|c| *c == 0.5));
+        assert!(full.color.iter().all(|color| *color == [0.5; 3]) && work.cells.iter().all(|c| *c == 0.5));
         let other = FrameConditions { size: ImageSize { height: 64, width: 32 }, ..frame };
         let error = check(&config, &other).unwrap_err().to_string();
         assert!(error.contains("conditions of 1 cameras of 32x64, found 1 of 64x32"), "{error}");

@@ -12,7 +12,7 @@ import torch
 
 from ._files import first_line
 
-__all__ = ["DTYPES", "add_options", "device_of", "run", "run_on_standard_streams", "silence"]
+__all__ = ["DTYPES", "add_options", "device_of", "run", "run_on_standard_streams", "silence", "whole_number"]
 
 DTYPES = {"bf16": torch.bfloat16, "f16": torch.float16, "f32": torch.float32}
 
@@ -25,7 +25,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--dtype", default="bf16", choices=DTYPES, help="type of weights and computation (default: bf16)")
     parser.add_argument(
         "--cached-frames",
-        type=_count,
+        type=whole_number,
         metavar="N",
         help="frames whose encoded conditions remain in the memory of the device (default: twice the window)",
     )
@@ -79,7 +79,8 @@ def silence() -> None:
         logging.disable_progress_bar()
 
 
-def _count(text: str) -> int:
+def whole_number(text: str) -> int:
+    """Convert the value of an option; raises ``argparse.ArgumentTypeError`` for other than digits."""
     if not text.isdecimal():
         raise argparse.ArgumentTypeError(f"expected a whole number, found {text}")
     return int(text)

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Mapping
 
+import torch
 from torch import Tensor, nn
 
-__all__ = ["add_lora", "expect_tensors", "is_lora", "merge_lora", "saved_name"]
+__all__ = ["add_lora", "expect_tensors", "is_lora", "lora_tensors", "merge_lora", "saved_name"]
 
 _NAMED = 3
 _LORA_A, _LORA_B = ".lora_A.weight", ".lora_B.weight"
@@ -52,19 +54,23 @@ def saved_name(name: str) -> str:
     return name.replace(f".{_ADAPTER}.", ".") if is_lora(name) else name.replace(".base_layer.", ".")
 
 
-def merge_lora(weights: Mapping[str, Tensor], matrices: Mapping[str, Tensor], path: str | os.PathLike[str]) -> None:
-    """Add the product of each pair of LoRA ``matrices`` to the weight of its layer, in place.
+def lora_tensors(module: nn.Module, rank: int, pattern: str, prefix: str = "") -> dict[str, Tensor]:
+    """Return the LoRA matrices that a file has for ``add_lora``: names, which begin with ``prefix``, and empty tensors."""
+    tensors = {}
+    for name, layer in module.named_modules():
+        if isinstance(layer, nn.Linear) and re.fullmatch(pattern, name):
+            tensors[f"{prefix}{name}{_LORA_A}"] = torch.empty(rank, layer.in_features, device="meta")
+            tensors[f"{prefix}{name}{_LORA_B}"] = torch.empty(layer.out_features, rank, device="meta")
+    return tensors
 
-    Names are those of a file. Raises ``ValueError``, which names the file, for a layer that is not there or does not fit.
-    """
+
+def merge_lora(weights: Mapping[str, Tensor], matrices: Mapping[str, Tensor]) -> None:
+    """Add the product of each pair of LoRA ``matrices``, by names of a file, to the weight of its layer, in place."""
     for name, first in matrices.items():
-        if not name.endswith(_LORA_A):
-            continue
-        layer = name.removesuffix(_LORA_A)
-        second, weight = matrices.get(layer + _LORA_B), weights.get(layer + ".weight")
-        if second is None or weight is None or second.shape[1:] + first.shape[1:] != (len(first), weight.shape[-1]):
-            raise ValueError(f"expected LoRA matrices of a layer of the network, found {name}: {os.fspath(path)}")
-        weight.data += (second.float() @ first.float()).to(weight)
+        if name.endswith(_LORA_A):
+            layer = name.removesuffix(_LORA_A)
+            weight = weights[layer + ".weight"]
+            weight.data += (matrices[layer + _LORA_B].float() @ first.float()).to(weight)
 
 
 def _listed(names: list[str]) -> str:

@@ -254,7 +254,9 @@ def _converted(hint: Any, value: Any, name: str) -> Any:
         if "..." in text or len(items) == 2:
             return items
         raise ConfigError(f"expected two numbers for {name}, found {_shown(value)}")
-    expected = "a list" if "tuple" in text and "Mapping" not in text else "a list or table" if "tuple" in text else "a table"
+    expected = (
+        "a list" if "tuple" in text and "Mapping" not in text else "a list or table" if "tuple" in text else "a table"
+    )
     raise ConfigError(f"expected {expected} for {name}, found {_shown(value)}")
 
 

@@ -14,7 +14,16 @@ from .config import TrainOptions
 from .errors import ConfigError, TrainError
 from .parallel import full, local
 
-__all__ = ["clip_gradients", "create_optimizer", "load_moments", "moments", "named_groups", "rate", "set_rates", "step_optimizer"]
+__all__ = [
+    "clip_gradients",
+    "create_optimizer",
+    "load_moments",
+    "moments",
+    "named_groups",
+    "rate",
+    "set_rates",
+    "step_optimizer",
+]
 
 _GROUP_KEYS = ("params", "lr", "betas", "eps", "weight_decay", "schedule")
 
@@ -38,7 +47,9 @@ def named_groups(module: nn.Module, groups: Sequence[Mapping[str, Any]], player:
     found = []
     for group in groups:
         if unknown := [key for key in group if key not in _GROUP_KEYS]:
-            raise ConfigError(f"expected the keys {', '.join(_GROUP_KEYS)} in a group of {player}, found {unknown[0]!r}")
+            raise ConfigError(
+                f"expected the keys {', '.join(_GROUP_KEYS)} in a group of {player}, found {unknown[0]!r}"
+            )
         parameters = list(group["params"])
         if any(id(parameter) not in names for parameter in parameters):
             raise ConfigError(f"expected parameters of the module of {player} in its groups, found others")
@@ -46,7 +57,9 @@ def named_groups(module: nn.Module, groups: Sequence[Mapping[str, Any]], player:
     grouped = [name for group in found for name in group["params"]]
     trained = {name for name, parameter in module.named_parameters() if parameter.requires_grad}
     if wrong := sorted(trained.symmetric_difference(grouped)):
-        raise ConfigError(f"expected the trained parameters of {player} in its groups, found a difference in {wrong[0]}")
+        raise ConfigError(
+            f"expected the trained parameters of {player} in its groups, found a difference in {wrong[0]}"
+        )
     return found
 
 

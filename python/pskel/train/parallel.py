@@ -15,11 +15,32 @@ from torch import Tensor, nn
 
 from .errors import TrainError, first_line
 
-__all__ = ["LostError", "Processes", "full", "is_lost", "local", "lost_processes", "shard_module", "start_processes", "without_sync", "wrap_step"]
+__all__ = [
+    "LostError",
+    "Processes",
+    "end_processes",
+    "full",
+    "is_lost",
+    "local",
+    "lost_processes",
+    "shard_module",
+    "start_processes",
+    "without_sync",
+    "wrap_step",
+]
 
 _TIMEOUT = timedelta(minutes=30)
 _Value = TypeVar("_Value")
-_LOST = ("Connection closed", "Connection reset", "Broken pipe", "Timed out", "NCCL", "Socket", "connectFullMesh", "heartbeat")
+_LOST = (
+    "Connection closed",
+    "Connection reset",
+    "Broken pipe",
+    "Timed out",
+    "NCCL",
+    "Socket",
+    "connectFullMesh",
+    "heartbeat",
+)
 """Texts of errors that say that another process is gone."""
 
 
@@ -50,9 +71,11 @@ class Processes:
         if self.count > 1:
             with lost_processes():
                 for tensor in tensors:
-                    there = tensor.to(self.device)  # a backend may know the device of the process alone
+                    there = (
+                        tensor.detach().to(self.device).contiguous()
+                    )  # a backend may know the device of the process alone
                     dist.broadcast(there, 0)
-                    tensor.copy_(there)
+                    tensor.detach().copy_(there)
 
     def share_object(self, value: _Value) -> _Value:
         """Return the value of the main process."""
@@ -62,11 +85,6 @@ class Processes:
         with lost_processes():
             dist.broadcast_object_list(values, 0)
         return values[0]
-
-    def end(self) -> None:
-        """Leave the group after a training that came to its end."""
-        if self.count > 1 and dist.is_initialized():
-            dist.destroy_process_group()
 
 
 @contextmanager
@@ -112,6 +130,12 @@ def start_processes() -> Processes:
     return Processes(state.process_index, state.num_processes, device)
 
 
+def end_processes() -> None:
+    """Leave the group of processes, if there is one, after the last training of this process."""
+    if dist.is_initialized():
+        dist.destroy_process_group()
+
+
 def shard_module(module: nn.Module, processes: Processes) -> None:
     """Divide the parameters of a module among the processes (FSDP), in place; they become ``DTensor``.
 
@@ -122,10 +146,8 @@ def shard_module(module: nn.Module, processes: Processes) -> None:
     from torch.distributed.fsdp import fully_shard
 
     if not dist.is_initialized():
-        port = os.environ.get("MASTER_PORT", "0")
-        store = dist.TCPStore("127.0.0.1", int(port), 1, is_master=True)
         backend = "nccl" if processes.device.type == "cuda" else "gloo"
-        dist.init_process_group(backend, store=store, rank=0, world_size=1)
+        dist.init_process_group(backend, store=dist.HashStore(), rank=0, world_size=1)  # type: ignore[attr-defined]
     mesh = init_device_mesh(processes.device.type, (processes.count,))
     names = getattr(module, "_no_split_modules", None) or ()
     for part in module.modules():

@@ -37,10 +37,12 @@ class _Step(nn.Module):
     def __init__(self, task: Task, player: Player, device: torch.device) -> None:
         super().__init__()
         self.module = player.module
-        self._compute = lambda batch, modules: task.loss(player.name, batch, modules, device)
+        self._task = task
+        self._name = player.name
+        self._device = device
 
     def forward(self, batch: Any, modules: Mapping[str, nn.Module]) -> tuple[Tensor, dict[str, float]]:
-        return self._compute(batch, modules)
+        return self._task.loss(self._name, batch, modules, self._device)
 
 
 class _Entry:
@@ -117,7 +119,9 @@ class Players:
     def norms(self, step: int) -> dict[str, float]:
         """Limit the gradients; returns their norms before."""
         with lost_processes():
-            return {each.player.name: clip_gradients(each.module, self._options.clip_norm) for each in self.active(step)}
+            return {
+                each.player.name: clip_gradients(each.module, self._options.clip_norm) for each in self.active(step)
+            }
 
     def update(self, step: int) -> dict[str, float]:
         """Step all optimizers; returns the learning rates."""

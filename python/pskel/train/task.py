@@ -102,7 +102,9 @@ def create_task(config: Config) -> Task:
         raise ConfigError(f"network {config.network!r}: {first_line(error)}") from error
     names = [player.name for player in task.players]
     if not names or len(set(names)) != len(names):
-        raise ConfigError(f"expected players with different names, found {', '.join(names) or 'none'}: {config.network}")
+        raise ConfigError(
+            f"expected players with different names, found {', '.join(names) or 'none'}: {config.network}"
+        )
     return task
 
 

@@ -3,8 +3,8 @@ use rayon::prelude::*;
 use super::LANES;
 use super::math::{Product, wide};
 
-/// Convolution by 3x3 pixels of images `[N, H, W, C]` with zeros around them, a bias, and optionally `max(0,
-/// x)`. The weights are `[9 C, D]`, with a row per (y, x, input channel) and a column per output channel. C
+/// Convolution by 3x3 pixels of images `[N, H, W, C]` with zeros around them, a bias, and optionally a
+/// rectification: numbers below 0 are multiplied by [`SLOPE`]. The weights are `[9 C, D]`, with a row per (y, x, input channel) and a column per output channel. C
 /// and D are multiples of [`LANES`].
 #[derive(Clone, Copy, Debug)]
 pub(in super::super) struct Convolution {
@@ -14,10 +14,12 @@ pub(in super::super) struct Convolution {
     pub(in super::super) channels: usize,
     /// Output channels, D.
     pub(in super::super) outputs: usize,
-    /// Whether negative outputs are 0.
+    /// Whether outputs are rectified.
     pub(in super::super) rectified: bool,
 }
 
+/// Slope of rectified numbers below 0. Source: Maas et al., 2013.
+pub(super) const SLOPE: f32 = 0.1;
 /// Rows of an image per task.
 const ROWS_PER_TASK: usize = 16;
 impl Convolution {
@@ -64,9 +66,9 @@ impl Convolution {
     }
 }
 
-/// Adds the bias to rows, and sets negative values to 0.
+/// Adds the bias to rows, and rectifies them.
 fn finish(out: &mut [f32], bias: &[f32], rectified: bool) {
-    let least = if rectified { 0.0 } else { f32::NEG_INFINITY };
+    let slope = if rectified { SLOPE } else { 1.0 };
     wide(
         #[inline(always)]
         || {
@@ -74,7 +76,8 @@ fn finish(out: &mut [f32], bias: &[f32], rectified: bool) {
                 for (out, bias) in out.as_chunks_mut::<LANES>().0.iter_mut().zip(bias.as_chunks::<LANES>().0)
                 {
                     for l in 0..LANES {
-                        out[l] = (out[l] + bias[l]).max(least);
+                        let sum = out[l] + bias[l];
+                        out[l] = sum.max(slope * sum);
                     }
                 }
             }

@@ -165,7 +165,7 @@ fn convolved(shape: &Convolution, x: &[f32], weights: &[f32], bias: &[f32], at: 
             sum += f64::from(x[place * channels + from]) * f64::from(weight);
         }
     }
-    if rectified { sum.max(0.0) } else { sum }
+    if rectified { sum.max(0.1 * sum) } else { sum }
 }
 
 #[test]

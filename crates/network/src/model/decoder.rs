@@ -67,7 +67,7 @@ fn colors(added: &Images, filled: &[[f32; 3]]) -> Vec<[f32; 3]> {
     let of = |(i, filled): (usize, &[f32; 3])| {
         let (y, x) = (i / width, i % width);
         let block = &added.values[(y / 2 * added.width + x / 2) * added.channels..];
-        std::array::from_fn(|c| filled[c] + 0.5 + block[4 * c + 2 * (y % 2) + x % 2])
+        std::array::from_fn(|c| filled[c] + block[4 * c + 2 * (y % 2) + x % 2])
     };
     filled.iter().enumerate().map(of).collect()
 }

@@ -83,7 +83,7 @@ class AcrossViews(_Across):
         if mask is not None:
             mask = mask.repeat_interleave(columns, 1).repeat_interleave(columns, 2)
             mask = mask.repeat_interleave(frames * rows, 0).unsqueeze(1)
-        out = self.attention(lines.flatten(3, 4).flatten(0, 2), mask)
+        out: Tensor = self.attention(lines.flatten(3, 4).flatten(0, 2), mask)
         return out.view(lines.shape).permute(0, 1, 3, 2, 4, 5)
 
 
@@ -96,7 +96,7 @@ class AcrossFrames(_Across):
         places = _positions(torch.arange(frames, device=x.device), channels).to(x)
         tokens = self.norm(x) + (offset + places[:, None])[:, :, :, None, None]
         series = tokens.permute(0, 2, 3, 4, 1, 5)
-        out = self.attention(series.flatten(0, 3))
+        out: Tensor = self.attention(series.flatten(0, 3))
         return out.view(series.shape).permute(0, 4, 1, 2, 3, 5)
 
 
@@ -115,6 +115,8 @@ class WindowTransformer(nn.Module):
         """Transform images ``[B * T * V, C, h, w]``; ``options`` are those of the spatial transformer."""
         x: Tensor = self.spatial(hidden_states, **{**options, "return_dict": False})[0]
         window = self.window
+        if window.views is None:
+            raise RuntimeError("expected a call of the whole network, found one of its UNet")
         inputs = x, window.shape, window.views, window.mask, window.single_frames
         if window.checkpoint_activations and torch.is_grad_enabled():
             return (checkpoint(self._across, *inputs, use_reentrant=False, preserve_rng_state=False),)
@@ -124,12 +126,13 @@ class WindowTransformer(nn.Module):
         self, x: Tensor, shape: tuple[int, int, int], views: Tensor, mask: Tensor | None, single_frames: Tensor | None
     ) -> Tensor:
         tokens = x.view(*shape, *x.shape[1:]).permute(0, 1, 2, 4, 5, 3)
-        offset = self.view(views)
+        offset: Tensor = self.view(views)
         tokens = tokens + self.across_views(tokens, offset, mask)
-        added = self.across_frames(tokens, offset)
+        added: Tensor = self.across_frames(tokens, offset)
         if single_frames is not None:
             added = torch.where(single_frames.view(-1, *[1] * (added.ndim - 1)), 0.0, added)
-        return (tokens + added).permute(0, 1, 2, 5, 3, 4).reshape(x.shape)
+        images: Tensor = (tokens + added).permute(0, 1, 2, 5, 3, 4).reshape(x.shape)
+        return images
 
 
 def _fractions(count: int, device: torch.device) -> Tensor:

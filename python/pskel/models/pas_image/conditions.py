@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import torch
 from torch import Tensor
@@ -44,7 +44,8 @@ class Batch(NamedTuple):
 
     def to(self, device: torch.device | str) -> Batch:
         """Copy to a device."""
-        return Batch(*(value.to(device) if isinstance(value, Tensor) else value for value in self))
+        values: list[Any] = [value.to(device) if isinstance(value, Tensor) else value for value in self]
+        return Batch(*values)
 
 
 def collate(clips: Sequence[Clip], config: Config) -> Batch:
@@ -61,14 +62,17 @@ def collate(clips: Sequence[Clip], config: Config) -> Batch:
         for frame in clip.captions:
             for text in frame:
                 texts.setdefault(text, len(texts))
-    stacked = (torch.stack([getattr(clip, name) for clip in clips]) for name in ("images", "boxes", "map", "color", "bins"))
     return Batch(
-        *stacked,
-        count,
-        torch.stack([_ids(clip) for clip in clips]),
-        torch.stack([visible(_rig(clip)) for clip in clips]),
-        tuple(texts),
-        torch.tensor([[[texts[text] for text in frame] for frame in clip.captions] for clip in clips]),
+        images=torch.stack([clip.images for clip in clips]),
+        boxes=torch.stack([clip.boxes for clip in clips]),
+        map=torch.stack([clip.map for clip in clips]),
+        color=torch.stack([clip.color for clip in clips]),
+        bins=torch.stack([clip.bins for clip in clips]),
+        bin_count=count,
+        ids=torch.stack([_ids(clip) for clip in clips]),
+        mask=torch.stack([visible(_rig(clip)) for clip in clips]),
+        texts=tuple(texts),
+        caption=torch.tensor([[[texts[text] for text in frame] for frame in clip.captions] for clip in clips]),
     )
 
 

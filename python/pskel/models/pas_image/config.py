@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal
 
-__all__ = ["LATENT_SCALE", "TINY", "Config", "Prediction", "Trained"]
+__all__ = ["HISTORY_LEVEL", "LATENT_SCALE", "TINY", "Config", "Prediction", "Trained"]
 
 Prediction = Literal["epsilon", "velocity"]
 """Output of the network: the noise, or ``sqrt(a) noise - sqrt(1 - a) latents``."""
@@ -16,6 +16,8 @@ Trained = Literal["all", "adapters", "lora"]
 
 LATENT_SCALE = 8
 """Pixels per latent, in height and width."""
+HISTORY_LEVEL = 100
+"""Default noise level of reference frames at inference, within those of the training."""
 
 _CHOICES: Mapping[str, tuple[str, ...]] = {
     "depth": ("continuous", "both"),

@@ -186,7 +186,8 @@ class Network(nn.Module):
 
     @property
     def _device(self) -> torch.device:
-        return self.unet.conv_in.weight.device
+        device: torch.device = self.unet.conv_in.weight.device
+        return device
 
     def _converted(self, x: Tensor) -> Tensor:
         return x.to(self.unet.conv_in.weight)

@@ -76,9 +76,26 @@ class Draws(NamedTuple):
     @classmethod
     def sample(cls, generator: torch.Generator, clips: int, latents: Sequence[int]) -> Draws:
         """Draw the numbers of ``clips`` clips, whose latents have the shape ``latents``, ``[T, V, C, h, w]``."""
-        normal = (torch.randn(clips, *latents, generator=generator) for _ in range(2))
-        level = torch.rand(clips, latents[0], generator=generator)
-        return cls(*normal, level, *(torch.rand(clips, generator=generator) for _ in range(8)))
+
+        def normal() -> Tensor:
+            return torch.randn(clips, *latents, generator=generator)
+
+        def uniform(*shape: int) -> Tensor:
+            return torch.rand(clips, *shape, generator=generator)
+
+        return cls(
+            posterior_noise=normal(),
+            noise=normal(),
+            level=uniform(latents[0]),
+            previous=uniform(),
+            text=uniform(),
+            boxes=uniform(),
+            map=uniform(),
+            action=uniform(),
+            depth=uniform(),
+            color=uniform(),
+            single_frames=uniform(),
+        )
 
     def to(self, device: torch.device | str) -> Draws:
         """Copy to a device."""

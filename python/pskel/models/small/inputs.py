@@ -23,6 +23,8 @@ NO_COLOR = 0.1255
 NO_ACTION = -1000.0
 """Ego motion where it was dropped."""
 CENTER = 0.5
+GAIN = 4.0
+"""Filled colors and depths are shown as ``GAIN (value - CENTER)``, about as large as the other numbers."""
 
 
 class Maps(NamedTuple):
@@ -48,7 +50,7 @@ class Maps(NamedTuple):
 def full_planes(maps: Maps) -> Tensor:
     """Return the numbers of pixels, ``[N, 16, H, W]``.
 
-    These are filled color and depth around 0, whether color and depth are known, boxes, map, the direction of the ray in the
+    These are filled color and depth around 0 (``GAIN``), whether color and depth are known, boxes, map, the direction of the ray in the
     ego frame, and a zero.
     """
     has_color, has_depth = maps.known()
@@ -66,7 +68,7 @@ def work_planes(maps: Maps) -> Tensor:
 
 def cells(work: Tensor) -> Tensor:
     """Return the mean colors of 16x16 pixels, 0 to 1, ``[N, 3, h, w]``, of ``work_planes``."""
-    return F.avg_pool2d(work[:, :3], CELL // WORK) + CENTER
+    return F.avg_pool2d(work[:, :3], CELL // WORK) / GAIN + CENTER
 
 
 def _reduced(values: Tensor, known: Tensor) -> tuple[Tensor, Tensor]:
@@ -79,7 +81,7 @@ def _reduced(values: Tensor, known: Tensor) -> tuple[Tensor, Tensor]:
 def _planes(color: Tensor, depth: Tensor, has_color: Tensor, has_depth: Tensor, boxes: Tensor, map: Tensor, cameras: Tensor) -> Tensor:
     rays = directions(cameras, *color.shape[2:])
     zero = torch.zeros_like(depth)
-    return torch.cat([color - CENTER, depth - CENTER, has_color, has_depth, boxes, map, rays, zero], 1)
+    return torch.cat([GAIN * (color - CENTER), GAIN * (depth - CENTER), has_color, has_depth, boxes, map, rays, zero], 1)
 
 
 def directions(cameras: Tensor, height: int, width: int) -> Tensor:

@@ -16,13 +16,15 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from .config import LANES, LATENT_CHANNELS, PLANES, SmallConfig
-from .inputs import EGO, RAY
+from .config import CELL, LANES, LATENT_CHANNELS, PLANES, SmallConfig
+from .inputs import CENTER, EGO, GAIN, RAY, cells
 from .levels import Levels
 
 WAVES = 32
 EPSILON = 1e-6
 FIRST_GATE = 0.1
+SLOPE = 0.1
+"""Slope of rectified numbers below 0."""
 
 
 def _normal(parameter: nn.Parameter, spread: float) -> None:
@@ -45,6 +47,10 @@ def _convolution(inputs: int, outputs: int, gain: float = 1.0) -> nn.Conv2d:
     return convolution
 
 
+def _rectified(x: Tensor) -> Tensor:
+    return F.leaky_relu(x, SLOPE)
+
+
 def _halved(x: Tensor) -> Tensor:
     return F.avg_pool2d(x, 2)
 
@@ -59,7 +65,7 @@ def _modulated(x: Tensor, shift: Tensor, scale: Tensor) -> Tensor:
 
 
 class Stage(nn.Module):
-    """Two rectified convolutions."""
+    """Two convolutions, each rectified."""
 
     def __init__(self, inputs: int, outputs: int) -> None:
         super().__init__()
@@ -67,7 +73,7 @@ class Stage(nn.Module):
         self.b = _convolution(outputs, outputs)
 
     def forward(self, x: Tensor) -> Tensor:
-        return F.relu(self.b(F.relu(self.a(x))))
+        return _rectified(self.b(_rectified(self.a(x))))
 
 
 class Features(NamedTuple):
@@ -76,6 +82,21 @@ class Features(NamedTuple):
     at4: Tensor
     at8: Tensor
     at16: Tensor
+
+
+class Window(NamedTuple):
+    """Noisy windows: B windows of L frames and V cameras."""
+
+    work: Tensor
+    """Conditions, ``inputs.work_planes``: ``[B L V, 16, H/4, W/4]``."""
+    noisy: Tensor
+    """Noisy latents, ``[B, L, V, 3, h, w]``."""
+    sigmas: Tensor
+    """Noise of each frame, ``[B, L]``."""
+    rays: Tensor
+    """``inputs.token_rays``: ``[B, L, V, h/2, w/2, 27]``."""
+    ego: Tensor
+    """``inputs.ego_numbers``: ``[B, L, 4]``."""
 
 
 class Encoder(nn.Module):
@@ -111,7 +132,7 @@ class Residual(nn.Module):
         """Take ``x [N, C, h, w]`` and ``modulation [N, 3 C]``."""
         shift, scale, gate = modulation[:, None, None].chunk(3, -1)
         normed = _modulated(x.permute(0, 2, 3, 1), shift, scale).permute(0, 3, 1, 2)
-        return x + gate.permute(0, 3, 1, 2) * self.b(F.relu(self.a(normed)))
+        return x + gate.permute(0, 3, 1, 2) * self.b(_rectified(self.a(normed)))
 
 
 class Block(nn.Module):
@@ -232,7 +253,7 @@ class Decoder(nn.Module):
         self.up8 = Stage(c16 + c8, c8)
         self.up4 = Stage(c8 + c4, c4)
         self.up2 = Stage(c4 + c2, c2)
-        self.out = _convolution(c2, LANES, 0.1)
+        self.out = _convolution(c2, LANES, 0.0)  # the first images are the filled colors
 
     def forward(self, planes: Tensor, features: Features, latents: Tensor) -> Tensor:
         """Return images ``[N, 3, H, W]``, about 0 to 1, of finished latents ``[N, 3, h, w]``.
@@ -248,7 +269,7 @@ class Decoder(nn.Module):
         x = self.up4(torch.cat([_doubled(x), at4], 1))
         x = self.up2(torch.cat([_doubled(x), at2], 1))
         added = F.pixel_shuffle(self.out(x)[:, :12], 2)
-        return added + planes[:, :3] + 0.5
+        return added + planes[:, :3] / GAIN + CENTER
 
 
 class SmallNetwork(nn.Module):
@@ -275,3 +296,38 @@ class SmallNetwork(nn.Module):
     def levels(self, sigmas: Tensor) -> Levels:
         """Return the preconditioning of noise levels ``[B, L]``."""
         return Levels(sigmas, self.priors)
+
+    def answer(self, window: Window) -> tuple[Tensor, Features]:
+        """Return the answer to the noisy latents of windows, and the features of their frames."""
+        B, L, V = window.noisy.shape[:3]
+        features = self.encoder(window.work)
+        levels = self.levels(window.sigmas)
+        at16 = features.at16.reshape(B, L, V, *features.at16.shape[1:])
+        guess = self.latents(cells(window.work)).reshape(window.noisy.shape)
+        answer = self.denoiser(levels.shown(window.noisy, guess), window.sigmas, at16, window.rays, window.ego)
+        return answer, features
+
+    def clean(self, window: Window, answer: Tensor) -> Tensor:
+        """Return the clean latents that an answer means, ``[B, L, V, 3, h, w]``."""
+        guess = self.latents(cells(window.work)).reshape(window.noisy.shape)
+        return self.levels(window.sigmas).clean(window.noisy, guess, answer)
+
+    def forward(self, window: Window, planes: Tensor, places: Tensor) -> tuple[Tensor, Tensor]:
+        """Return the answer to noisy latents, and crops ``[K, 3, H, W]`` of the images that it means.
+
+        ``planes`` are crops of the conditions ``[K, 16, H, W]``. ``places`` ``[K, 3]`` are the image, top and left of each, in
+        16x16 pixels.
+        """
+        answer, features = self.answer(window)
+        latents = self.clean(window, answer).detach().flatten(0, 2)
+        high, wide = (side // CELL for side in planes.shape[2:])
+
+        def cut(x: Tensor, factor: int) -> Tensor:
+            parts = [
+                x[image, :, top * factor : (top + high) * factor, left * factor : (left + wide) * factor]
+                for image, top, left in places.tolist()
+            ]
+            return torch.stack(parts)
+
+        cropped = Features(cut(features.at4, 4), cut(features.at8, 2), cut(features.at16, 1))
+        return answer, self.decoder(planes, cropped, cut(latents, 1))

@@ -38,11 +38,11 @@ class StepOptions(NamedTuple):
     crop: tuple[int, int] = (128, 224)
     crops: int = 2
     """Crops of each decoded image."""
-    pixel: float = 1.0
-    gradient: float = 1.0
+    absolute: float = 10.0
+    square: float = 100.0
     adversarial: float = 0.0
     features: float = 1.0
-    """Weights of the losses of images: error, error of gradients, discriminator, and its features."""
+    """Weights of the losses of images: absolute and squared error, discriminator, and its features."""
 
 
 class Window(NamedTuple):
@@ -170,8 +170,8 @@ class Losses(NamedTuple):
 
     total: Tensor
     answer: Tensor
-    pixel: Tensor
-    gradient: Tensor
+    absolute: Tensor
+    square: Tensor
     images: Tensor
     """Decoded crops."""
 
@@ -216,15 +216,9 @@ def losses(network: SmallNetwork, batch: Prepared, options: StepOptions) -> Loss
     per_frame = batch.clean.shape[2]
     weight = weight[batch.places[:, 0] // per_frame][:, None, None, None]
     error = (images - batch.truth) * weight
-    pixel = charbonnier(error)
-    gradient = charbonnier(error.diff(dim=2)) + charbonnier(error.diff(dim=3))
-    total = answer_loss + 10 * (options.pixel * pixel + options.gradient * gradient)
-    return Losses(total, answer_loss.detach(), pixel.detach(), gradient.detach(), images)
-
-
-def charbonnier(error: Tensor) -> Tensor:
-    """Return the mean of ``sqrt(error^2 + e^2) - e``, near the absolute error."""
-    return ((error.square() + 1e-4).sqrt() - 1e-2).mean()
+    absolute, square = error.abs().mean(), error.square().mean()
+    total = answer_loss + options.absolute * absolute + options.square * square
+    return Losses(total, answer_loss.detach(), absolute.detach(), square.detach(), images)
 
 
 class Discriminator(nn.Module):
@@ -243,7 +237,7 @@ class Discriminator(nn.Module):
 
     def forward(self, images: Tensor, planes: Tensor) -> list[Tensor]:
         """Return the features of each layer, and the answers."""
-        x = torch.cat([images - 0.5, planes[:, :4]], 1)
+        x = torch.cat([4 * (images - 0.5), planes[:, :4]], 1)
         outputs = []
         for layer in self.layers:
             x = F.leaky_relu(layer(x), 0.2)

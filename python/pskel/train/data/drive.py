@@ -169,7 +169,9 @@ def _step(drive: Drive, hz: float) -> int:
         raise DataError(f"expected frames at an even rate for data.hz, found none: {drive.source}")
     step = round(drive.hz / hz)
     if step < 1 or abs(drive.hz / (hz * step) - 1) > _RATE_TOLERANCE:
-        raise DataError(f"expected data.hz that divides the rate of the frames, {drive.hz:.4g} Hz, found {hz}: {drive.source}")
+        raise DataError(
+            f"expected data.hz that divides the rate of the frames, {drive.hz:.4g} Hz, found {hz}: {drive.source}"
+        )
     return step
 
 

@@ -13,10 +13,10 @@ import numpy.typing as npt
 import torch
 
 from ..errors import DataError, first_line
-from .numbers import camera_numbers, ego_motion
 from .captions import Captions, captions_of
 from .drive import Drive, Frames
 from .images import reduced
+from .numbers import camera_numbers, ego_motion
 from .recipe import size_of
 
 if TYPE_CHECKING:

@@ -50,7 +50,10 @@ def complete(given: Mapping[str, Any]) -> dict[str, Any]:
         raise ConfigError(f"expected recipe.bins.count of 2 to {MAX_BINS}, found {count!r}")
     if recipe["bins"]["scale"] not in ("linear", "log"):
         raise ConfigError(f"expected recipe.bins.scale of linear, log, found {recipe['bins']['scale']!r}")
-    for name, value in (("radius_m", recipe["radius_m"]), *((f"bins.{key}", recipe["bins"][key]) for key in ("far_m", "gamma"))):
+    for name, value in (
+        ("radius_m", recipe["radius_m"]),
+        *((f"bins.{key}", recipe["bins"][key]) for key in ("far_m", "gamma")),
+    ):
         if isinstance(value, bool) or not isinstance(value, (int, float)) or not 0 < value < float("inf"):
             raise ConfigError(f"expected recipe.{name} above 0, found {value!r}")
     _splat(recipe["splat"])
@@ -165,4 +168,5 @@ def _log_bins(depth: npt.NDArray[np.float32], far: np.float32, count: int, gamma
     within = (part * np.float32(near_bins - 1)).astype(np.int32) + 1
     beyond = ln_1p(np.maximum(depth - near, np.float32(0))) / (ln_1p(far - near) + _EPSILON)
     behind = (beyond * np.float32(count - near_bins - 1)).astype(np.int32) + 1 + near_bins
-    return np.where(depth <= near, within, behind)
+    bins: npt.NDArray[np.int32] = np.where(depth <= near, within, behind)
+    return bins

@@ -21,8 +21,8 @@ import torch
 from torch import Tensor
 
 from ..errors import ConfigError, DataError, first_line
-from .numbers import CAMERA_NUMBERS, ego_motion, joined, moved_by
 from .drive import Drive, Frames
+from .numbers import CAMERA_NUMBERS, ego_motion, joined, moved_by
 from .recipe import complete, size_of
 
 __all__ = ["RecordedDrive", "Recorder", "recordings_in"]
@@ -123,7 +123,7 @@ class RecordedDrive(Drive):
     def _all(self, name: str) -> Array:
         return np.array(self._mapped(name))
 
-    def _rgb(self, name: str, index: tuple[Array, Array]) -> Tensor:
+    def _rgb(self, name: str, index: tuple[Array, ...]) -> Tensor:
         window = torch.from_numpy(self._mapped(name)[index])
         return window.permute(0, 1, 4, 2, 3).contiguous()
 

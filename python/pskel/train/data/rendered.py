@@ -165,14 +165,23 @@ def record(drive: RenderedDrive, path: Path) -> None:
     frames = [frame for run in drive.runs for frame in run]
     identity = drive.identity()
     about = {"log": drive.log, "source": identity, "hz": drive.hz, "cameras": list(drive.names), "recipe": drive.recipe}
-    clip = {"variant": drive.variant, "identity": identity, "captions": [list(drive.captions(frame)) for frame in frames]}
+    clip = {
+        "variant": drive.variant,
+        "identity": identity,
+        "captions": [list(drive.captions(frame)) for frame in frames],
+    }
     try:
         with Recorder(path, about, clip, len(frames)) as recorder:
             assert drive.times_us is not None
             recorder.write("t_us", drive.times_us)
             for frame in frames:
                 read = drive.read([frame], views)
-                for name, tensor in (("color", read.color), ("boxes", read.boxes), ("map", read.map), ("truth", read.images)):
+                for name, tensor in (
+                    ("color", read.color),
+                    ("boxes", read.boxes),
+                    ("map", read.map),
+                    ("truth", read.images),
+                ):
                     recorder.write(name, tensor[0].permute(0, 2, 3, 1).numpy(), frame)
                 recorder.write("bins", read.bins[0].numpy(), frame)
                 recorder.write("cameras", read.cameras[0].numpy(), frame)

@@ -20,10 +20,10 @@ import numpy.typing as npt
 import torch
 
 from ..errors import DataError
-from .numbers import camera_numbers, ego_motion, pose_at
 from .drive import Drive, Frames, Skip
 from .exports import Record, export_options, records_in
 from .images import rgb_of, rgb_tensor
+from .numbers import camera_numbers, ego_motion, pose_at
 from .recipe import BINS, depth_bins, of_export
 
 __all__ = ["ShardDrive", "drives_of_shards"]
@@ -74,7 +74,9 @@ class _Shard:
             return None
         content = os.pread(self._file.fileno(), place[1], place[0])
         if len(content) != place[1]:
-            raise DataError(f"expected {place[1]} bytes of {self.samples[sample].key}.{name}, found {len(content)}: {self.path}")
+            raise DataError(
+                f"expected {place[1]} bytes of {self.samples[sample].key}.{name}, found {len(content)}: {self.path}"
+            )
         return content
 
     def meta(self, sample: int) -> dict[str, Any]:
@@ -87,7 +89,9 @@ class _Shard:
             except ValueError:
                 value = None
             if not isinstance(value, dict) or not isinstance(value.get("cameras"), list):
-                raise DataError(f"expected metadata of a sample, found others in {self.samples[sample].key}.json: {self.path}")
+                raise DataError(
+                    f"expected metadata of a sample, found others in {self.samples[sample].key}.json: {self.path}"
+                )
             self.metas[sample] = value
         return self.metas[sample]
 
@@ -241,7 +245,9 @@ class ShardDrive(Drive):
             off_us = max(abs((camera.get("t_us") or meta["t_us"]) - meta["t_us"]) for camera in meta["cameras"])
             if off_us > 0.5e6 / self.hz:
                 key = shard.samples[sample].key
-                raise Skip(f"clips with images of other times, such as {key} of {shard.path} (off by {off_us / 1e3:.0f} ms)")
+                raise Skip(
+                    f"clips with images of other times, such as {key} of {shard.path} (off by {off_us / 1e3:.0f} ms)"
+                )
         return meta
 
     def _pose(self, frame: int) -> npt.NDArray[np.float64]:

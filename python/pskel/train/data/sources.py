@@ -72,7 +72,9 @@ def open_data(
             if (text := difference(wanted, found)) is not None:
                 raise DataError(f"{text}: {drive.source}")
             if found["drawn"] is None:
-                say(f"{drive.source}: maps were rendered at the cameras' own sizes, which are not compared with the recipe")
+                say(
+                    f"{drive.source}: maps were rendered at the cameras' own sizes, which are not compared with the recipe"
+                )
             drive.recipe = wanted
     assert wanted is not None
     return _chosen(by_spec, options, wanted, say)
@@ -88,7 +90,9 @@ def _stored(spec: str) -> list[Drive] | None:
         if layout == "webdataset":
             return drives_of_shards(path)
         if layout == "pas-cache":
-            raise ConfigError(f"a pas-cache has maps alone: name it by data.pas_cache, and the logs by --data, found {spec}")
+            raise ConfigError(
+                f"a pas-cache has maps alone: name it by data.pas_cache, and the logs by --data, found {spec}"
+            )
         raise DataError(f"expected an export in the layout webdataset, found {layout}: {spec}")
     if path.is_dir() and (recordings := recordings_in(path)):
         return [RecordedDrive(each) for each in recordings]
@@ -97,8 +101,12 @@ def _stored(spec: str) -> list[Drive] | None:
 
 def _recipe_of_logs(spec: str, options: DataOptions) -> dict[str, Any]:
     if options.pas_cache is None:
-        raise ConfigError(f"expected a recipe in [data.recipe], which says how maps of logs are rendered, found none: {spec}")
-    return complete({key: value for key, value in recipe_of_cache(Path(options.pas_cache)).items() if value is not None})
+        raise ConfigError(
+            f"expected a recipe in [data.recipe], which says how maps of logs are rendered, found none: {spec}"
+        )
+    return complete(
+        {key: value for key, value in recipe_of_cache(Path(options.pas_cache)).items() if value is not None}
+    )
 
 
 def _logs(
@@ -139,7 +147,9 @@ def _recorded(drives: Sequence[RenderedDrive], cache: Path, processes: Processes
     for drive, path in zip(drives, paths):
         recording = RecordedDrive(path)
         if recording.identity != drive.identity():
-            raise DataError(f"expected a recording of this log, recipe and skeleton, found another one: remove it: {path}")
+            raise DataError(
+                f"expected a recording of this log, recipe and skeleton, found another one: remove it: {path}"
+            )
         found.append(recording)
     return found
 
@@ -213,7 +223,9 @@ def _in_child(function: Callable[..., None], *arguments: Any) -> None:
         failure = receiver.recv()
     except EOFError:
         child.join()
-        raise DataError(f"a process that prepares data ended with exit code {child.exitcode} (-9: out of memory?)") from None
+        raise DataError(
+            f"a process that prepares data ended with exit code {child.exitcode} (-9: out of memory?)"
+        ) from None
     finally:
         receiver.close()
     child.join()
@@ -263,7 +275,9 @@ def _chosen(by_spec: Sequence[Sequence[Drive]], options: DataOptions, recipe: di
     for each in train:
         if not len(each):
             found = sum(len(run) for run in each.runs)
-            say(f"{each.drive.source}: left out, {found} frames are too few for clips of {options.frames} with a step of {each.step}")
+            say(
+                f"{each.drive.source}: left out, {found} frames are too few for clips of {options.frames} with a step of {each.step}"
+            )
     if not any(len(each) for each in train):
         least = (options.frames - 1) * max((each.step for each in train), default=1) + 1
         counts = [sum(len(run) for run in each.runs) for each in train]

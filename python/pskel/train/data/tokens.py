@@ -49,7 +49,9 @@ def _nuscenes(root: Path, version: str | None, log: str, frames: int) -> list[di
     if log not in scenes:
         raise DataError(f"expected scene {log}, found {len(scenes)} others: {folders[0] / 'scene.json'}")
     if len(scenes[log]) != frames:
-        raise DataError(f"expected {frames} key frames of {log}, found {len(scenes[log])}: {folders[0] / 'sample.json'}")
+        raise DataError(
+            f"expected {frames} key frames of {log}, found {len(scenes[log])}: {folders[0] / 'sample.json'}"
+        )
     return scenes[log]
 
 

@@ -1,0 +1,61 @@
+"""Losses of the answers and of the decoded images, and the discriminator."""
+
+from __future__ import annotations
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+
+from .draws import Batch, Statistics
+from .levels import Levels
+
+__all__ = ["Discriminator", "answer_loss", "image_weights"]
+
+
+def guess_errors(batch: Batch, statistics: Statistics, expected_error: float) -> Tensor:
+    """Return the mean square error of the guess of each frame, ``[B, L]``, relative to its average over the data; at least 1."""
+    usual = statistics.priors[:, None, None] / expected_error
+    return ((batch.clean - batch.guess) / usual).square().mean((2, 3, 4, 5)).clamp(min=1)
+
+
+def answer_loss(answer: Tensor, batch: Batch, statistics: Statistics, errors: Tensor) -> Tensor:
+    """Return the mean square error of the answers; all noise levels weigh the same.
+
+    A frame whose guess is worse than usual, since conditions were dropped, weighs less, or these few frames would dominate the
+    training.
+    """
+    target = Levels(batch.window.sigmas, statistics.priors).answer(batch.clean, batch.guess, batch.noise)
+    channels = (statistics.priors / statistics.priors.mean())[:, None, None]
+    squares = ((answer.float() - target).square() * channels).mean((2, 3, 4, 5))
+    return (squares * batch.counts / errors).sum() / batch.counts.sum().clamp(min=1)
+
+
+def image_weights(batch: Batch, errors: Tensor) -> Tensor:
+    """Return the weight of each crop's error, ``[K, 1, 1, 1]``; smaller where conditions were dropped."""
+    views = batch.clean.shape[2]
+    return errors.flatten().rsqrt()[batch.places[:, 0] // views][:, None, None, None]
+
+
+class Discriminator(nn.Module):
+    """Discriminator of patches, which sees the filled color and depth too.
+
+    Sources: Isola et al., "Image-to-Image Translation with Conditional Adversarial Networks", 2017; Miyato et al., "Spectral
+    Normalization for Generative Adversarial Networks", 2018.
+    """
+
+    def __init__(self, channels: tuple[int, ...] = (32, 64, 128)) -> None:
+        super().__init__()
+        spectral = nn.utils.parametrizations.spectral_norm
+        widths = (7, *channels)
+        pairs = zip(widths, widths[1:])
+        self.layers = nn.ModuleList(spectral(nn.Conv2d(a, b, 4, stride=2, padding=1)) for a, b in pairs)
+        self.out = spectral(nn.Conv2d(widths[-1], 1, 3, padding=1))
+
+    def forward(self, images: Tensor, planes: Tensor) -> list[Tensor]:
+        """Return the features of each layer, and the answers, for images ``[K, 3, H, W]`` and their ``full_planes``."""
+        x = torch.cat([4 * (images - 0.5), planes[:, :4]], 1)
+        outputs = []
+        for layer in self.layers:
+            x = F.leaky_relu(layer(x), 0.2)
+            outputs.append(x)
+        return [*outputs, self.out(x)]

@@ -1,0 +1,89 @@
+"""Train a network: ``python -m pskel.train CONFIG --data .. --out DIR``."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import signal
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from .config import Config
+from .errors import ConfigError, TrainError
+
+PROGRAM = "pskel.train"
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog=f"python -m {PROGRAM}",
+        description="Trains an image generator. For several GPUs: accelerate launch -m pskel.train .., or torchrun -m pskel.train ..",
+    )
+    parser.add_argument(
+        "config", metavar="CONFIG", help="TOML or JSON file: network, [train], [data], and the network's own table"
+    )
+    parser.add_argument(
+        "--data",
+        nargs="+",
+        action="extend",
+        default=[],
+        required=True,
+        metavar="SPEC",
+        help="a log (town:.., nuscenes:..), a folder of pskel export --layout webdataset --images, or recorded clips (.safetensors)",
+    )
+    parser.add_argument(
+        "--out", required=True, type=Path, metavar="DIR", help="folder of checkpoints, losses, pictures and weights"
+    )
+    parser.add_argument("--resume", action="store_true", help="continue from the last checkpoint in DIR")
+    parser.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        metavar="KEY=VALUE",
+        dest="settings",
+        help="change the configuration: train.batch=2",
+    )
+    parser.add_argument("--steps", type=int, metavar="N", help="the same as --set train.steps=N")
+    return parser
+
+
+def _stop(number: int, _frame: Any) -> None:
+    raise TrainError(
+        f"ended by signal {number}: another process of the training ended, or someone stopped it; --resume continues"
+    )
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command; returns the exit status. An error is one line on standard error."""
+    options = _parser().parse_args(arguments)
+    settings = [*options.settings, *([] if options.steps is None else [f"train.steps={options.steps}"])]
+    try:
+        config = Config.read(options.config, settings)
+        try:
+            from .loop import train
+        except ImportError as error:
+            raise ConfigError(f"training needs PyTorch and accelerate: pip install 'pskel[train]' ({error})") from error
+        train(config, options.data, options.out, resume=options.resume)
+    except TrainError as error:
+        print(f"{PROGRAM}: {error}", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        print(f"{PROGRAM}: interrupted; --resume continues from the last checkpoint", file=sys.stderr)
+        return 130
+    return 0
+
+
+if __name__ == "__main__":
+    signal.signal(signal.SIGTERM, _stop)
+    status = main()
+    sys.stdout.flush()
+    sys.stderr.flush()
+    if status and int(os.environ.get("WORLD_SIZE", "1")) > 1:
+        os._exit(status)  # libraries of communication would wait for the other processes
+    if not status:
+        from .parallel import end_processes
+
+        end_processes()
+    sys.exit(status)
