@@ -15,7 +15,7 @@ at work, and the folder has the bytes of a single run.
 A full disk is a limit on the size of files, below that of the largest one: the command fails with a message and leaves
 no temporary file; without the limit it succeeds afterwards, with the bytes of a single run.
 
-The commands are build, render, simulate (also with --mcap), generate (also with --dataset), protocol, export, train, town,
+The commands are build, render, simulate (also with --mcap), generate (also with --dataset), protocol, export, town,
 templates and convert on a small town. Prints one line per command, and exits with 1 if a check failed.
 """
 
@@ -34,8 +34,6 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
 TOWN = "town:seed=5,frames=5,size=57x100"
-NETWORK = """{"recipe": {"drawn": "32x64", "size": "16x32"}, "frames": 2, "width": 32, "head": 16, "hidden": 32,
- "blocks": ["s", "t"]}"""
 LOG = "nuscenes:../shared/town"
 SKELETON = "../shared/skeleton"
 MAPS = f"{LOG} --skeleton {SKELETON} --out out --maps color,depth --size 57x100"
@@ -55,8 +53,6 @@ COMMANDS = [
      None, False),
     ("shards", f"export {LOG} town:seed=6,frames=5,size=57x100 --layout webdataset --shard-frames 2 --skeletons sks --out out --maps depth --size 57x100",
      None, False),
-    ("train", f"train {TOWN} --config ../shared/net.json --drives drives --variants 1 --steps 6 --checkpoint 2 "
-              "--batch 1 --out out", None, True),
     ("town", "town seed=5,frames=3,size=57x100 --out out", None, False),
     ("templates", f"templates {SKELETON} --min-points 1 --out out", None, False),
     ("convert", f"convert {SKELETON} --out out", None, False),
@@ -228,7 +224,6 @@ def prepare(work, pskel):
     """Writes the inputs of the commands."""
     shared = work / "shared"
     shared.mkdir()
-    (shared / "net.json").write_text(NETWORK)
     for arguments in ("town seed=5,frames=5,size=57x100 --out town", "build nuscenes:town --out skeleton"):
         done = subprocess.run([pskel, *arguments.split()], cwd=shared, capture_output=True, text=True, check=False)
         expect(done.returncode == 0, f"expected {arguments} to succeed, found {done.stderr}")

@@ -23,6 +23,9 @@ except ImportError as error:
 
 from . import Log, Renderer, Scene, Skeleton
 from ._types import RenderKeywords, check_names
+from .train.data.captions import CaptionOf, Captions, captions_of
+from .train.data.logs import mounted_cameras
+from .train.data.numbers import camera_numbers, ego_motion
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
@@ -68,7 +71,10 @@ class _Clips:
         every: int | None = None,
         hz: float | None = None,
         images: bool = True,
+        numbers: bool = False,
+        captions: CaptionOf | Captions | None = None,
         augment: Augment | None = None,
+        augment_assets: int | None = None,
         seed: int = 0,
         open_logs: int = 2,
         **renderer: Unpack[RenderKeywords],
@@ -90,7 +96,10 @@ class _Clips:
         self.frames = frames
         self.stride = stride
         self.images = images
+        self.numbers = numbers
+        self.captions = captions
         self.augment = augment
+        self.augment_assets = augment_assets
         self.seed = seed
         self.epoch = 0
         self._open_logs = open_logs
@@ -127,20 +136,23 @@ class _Clips:
             text, skeleton = self.sources[source]
             log = Log(text)
             renderer = Renderer(
-                Skeleton(skeleton), out_size=self.out_size, maps=["tensor"], log=log.name, **self._options
+                Skeleton(skeleton),
+                out_size=self.out_size,
+                maps=["tensor"],
+                log=log.name,
+                augment=self.augment_assets,
+                **self._options,
             )
             opened = _Opened(log, renderer)
         self._opened[source] = opened
         return opened
 
-    def item(self, index: int) -> dict[str, torch.Tensor]:
+    def item(self, index: int) -> dict[str, Any]:
         """Render the clip with an index."""
         source, first = self.clips[index]
         log, renderer = self.open(source)
-        scenes = [log[first + i * self._every[source]] for i in range(self.frames)]
-        if self.augment is not None:
-            # The same random numbers for all frames, so that a clip moves as one.
-            scenes = [self.augment(scene, np.random.default_rng((self.seed, self.epoch, index))) for scene in scenes]
+        frames = [first + i * self._every[source] for i in range(self.frames)]
+        scenes = [self._augmented(log[frame], index) for frame in frames]
         maps = list(renderer.render_all(scenes))
         item = {
             "points": np.stack([frame["points"] for frame in maps]),
@@ -153,7 +165,23 @@ class _Clips:
         if self.images:
             images = np.stack([log.images(scene, self.out_size) for scene in scenes])
             item["images"] = np.ascontiguousarray(images.transpose(0, 1, 4, 2, 3))
-        return {name: torch.from_numpy(array) for name, array in item.items()}
+        if self.numbers:
+            before = first - self._every[source]
+            previous = self._augmented(log[before], index).ego if before >= 0 else None
+            poses = [previous, *(scene.ego for scene in scenes)]
+            item["action"] = np.stack([ego_motion(a, b) for a, b in zip(poses, poses[1:]) if b is not None])
+            item["cameras"] = np.stack([_numbers(log, frame, scene) for frame, scene in zip(frames, scenes)])
+        tensors: dict[str, Any] = {name: torch.from_numpy(array) for name, array in item.items()}
+        if self.captions is not None:
+            names = scenes[0].cameras
+            tensors["captions"] = [list(captions_of(self.captions, log.name, frame, names)) for frame in frames]
+        return tensors
+
+    def _augmented(self, scene: Scene, index: int) -> Scene:
+        # The same random numbers for all frames, so that a clip moves as one.
+        if self.augment is None:
+            return scene
+        return self.augment(scene, np.random.default_rng((self.seed, self.epoch, index)))
 
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "_opened": OrderedDict()}
@@ -194,7 +222,16 @@ def _scaled(scene: Scene, size: Sequence[int]) -> np.ndarray[Any, np.dtype[np.fl
     return scaled
 
 
-class ConditionDataset(_Clips, Dataset[dict[str, torch.Tensor]]):
+def _numbers(log: Log, frame: int, scene: Scene) -> np.ndarray[Any, np.dtype[np.float32]]:
+    """Camera numbers of a scene; a scene of other cameras than the log's has their positions at its own time."""
+    if scene.cameras == log[frame].cameras:
+        mounted = mounted_cameras(log, frame)
+    else:
+        mounted = np.linalg.inv(scene.ego) @ np.linalg.inv(scene.camera_from_global)
+    return camera_numbers(mounted, scene.intrinsics, np.array(scene.sizes))
+
+
+class ConditionDataset(_Clips, Dataset[dict[str, Any]]):
     """Clips of logs as a map-style dataset.
 
     ``sources`` are pairs of a log, as the text that ``Log`` opens, and a skeleton folder that contains this
@@ -204,32 +241,39 @@ class ConditionDataset(_Clips, Dataset[dict[str, torch.Tensor]]):
     - ``points`` ``float32 [T, V, 20, H, W]`` and ``layout`` ``float32 [T, V, 6, H, W]``: the network input,
     - ``images`` ``uint8 [T, V, 3, H, W]`` (unless ``images=False``): recorded images, or rendered ones of a town,
     - ``intrinsics`` ``float64 [T, V, 3, 3]`` at ``out_size``, ``camera_from_global`` ``float64 [T, V, 4, 4]``,
-      ``global_from_ego`` ``float64 [T, 4, 4]``, ``t_us`` ``int64 [T]``.
+      ``global_from_ego`` ``float64 [T, 4, 4]``, ``t_us`` ``int64 [T]``,
+    - with ``numbers=True``, ``cameras`` ``float32 [T, V, 16]``: the upper three rows of the mounted ``ego_from_camera``
+      (m), then fx/W, fy/H, cx/W, cy/H; and ``action`` ``float32 [T, 3]``: forward, left (m) and yaw (rad) since the
+      previous frame of the same spacing, also that before the clip; zeros without one,
+    - with ``captions``, ``captions``: a list of T lists of V texts. ``captions`` is a function of log name, frame
+      number and camera, or a mapping from log names to a text, texts of frames, or lists of texts per frame, in the
+      order of the cameras. Logs without one have empty texts.
 
-    Clips begin every ``stride`` key frames. Their frames are consecutive key frames, every ``every``-th one,
-    or key frames at the rate ``hz``, which must divide the key frame rate. With ``hz``, clips across gaps of
-    the log are skipped. ``augment(scene, generator)`` changes a scene with random numbers that depend on
-    ``seed``, epoch (``set_epoch``) and index only; recorded images do not follow a moved ego. Other keyword
-    arguments are passed to ``pskel.Renderer``, except ``maps`` and ``log``. Raises ``ValueError`` for a
-    skeleton of other logs, for a rate that does not divide a log's rate, and if no log is as long as a clip.
+    Clips begin every ``stride`` key frames. Their frames are consecutive key frames, every ``every``-th one, or key
+    frames at the rate ``hz``, which must divide the key frame rate. With ``hz``, clips across gaps of the log are
+    skipped. ``augment(scene, generator)`` changes a scene with random numbers that depend on ``seed``, epoch
+    (``set_epoch``) and index only; recorded images do not follow a moved ego. ``augment_assets`` is the seed for
+    degrading a share of the assets, the option ``augment`` of ``pskel.Renderer``. Other keyword arguments are passed to
+    ``pskel.Renderer``, except ``maps`` and ``log``. Raises ``ValueError`` for a skeleton of other logs, for a rate that
+    does not divide a log's rate, and if no log is as long as a clip.
     """
 
     def __len__(self) -> int:
         return len(self.clips)
 
-    def __getitem__(self, index: int) -> dict[str, torch.Tensor]:
+    def __getitem__(self, index: int) -> dict[str, Any]:
         if not -len(self.clips) <= index < len(self.clips):
             raise IndexError(f"expected a clip below {len(self.clips)}, found {index}")
         return self.item(index % len(self.clips))
 
 
-class ConditionStream(_Clips, IterableDataset[dict[str, torch.Tensor]]):
+class ConditionStream(_Clips, IterableDataset[dict[str, Any]]):
     """Clips of logs in order, as an iterable dataset: the items of ``ConditionDataset``.
 
     Workers, and the processes of ``torch.distributed``, share the clips in turn.
     """
 
-    def __iter__(self) -> Iterator[dict[str, torch.Tensor]]:
+    def __iter__(self) -> Iterator[dict[str, Any]]:
         worker = get_worker_info()
         workers, number = (1, 0) if worker is None else (worker.num_workers, worker.id)
         ranks, rank = 1, 0

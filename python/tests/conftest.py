@@ -8,7 +8,7 @@ from pathlib import Path
 import pskel
 import pytest
 
-pytest.register_assert_rewrite("mcap_files", "pas_base", "pas_frames")
+pytest.register_assert_rewrite("mcap_files", "parity", "pas_base", "pas_frames", "image_base", "image_frames", "image_rollout")
 
 TOWN = "town:seed=7,frames=4,size=113x200"
 DRIVE = "town:seed=7,frames=12,size=113x200"

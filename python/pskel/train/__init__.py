@@ -1,7 +1,8 @@
 """Training of image generators in PyTorch: ``python -m pskel.train CONFIG --data .. --out DIR``.
 
-The harness reads clips, steps optimizers, and writes checkpoints, losses, pictures and weights. A ``Task`` knows the network:
-``pskel.models.NETWORK.task`` has the function ``task``. ``Config`` is the content of CONFIG, ``train`` runs it.
+The harness reads clips, steps optimizers, and writes checkpoints, losses, pictures and weights. A ``Task`` knows the
+network: ``pskel.models.NETWORK.task`` has the function ``task``. ``Config`` is the content of CONFIG, ``train`` runs
+it.
 """
 
 from __future__ import annotations

@@ -19,7 +19,7 @@ PROGRAM = "pskel.train"
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog=f"python -m {PROGRAM}",
-        description="Trains an image generator. For several GPUs: accelerate launch -m pskel.train .., or torchrun -m pskel.train ..",
+        description="Trains an image generator. Several GPUs: torchrun or accelerate launch, then -m pskel.train ..",
     )
     parser.add_argument(
         "config", metavar="CONFIG", help="TOML or JSON file: network, [train], [data], and the network's own table"
@@ -31,7 +31,7 @@ def _parser() -> argparse.ArgumentParser:
         default=[],
         required=True,
         metavar="SPEC",
-        help="a log (town:.., nuscenes:..), a folder of pskel export --layout webdataset --images, or recorded clips (.safetensors)",
+        help="a log (town:.., nuscenes:..), an export (--layout webdataset --images), or recorded clips (.safetensors)",
     )
     parser.add_argument(
         "--out", required=True, type=Path, metavar="DIR", help="folder of checkpoints, losses, pictures and weights"
@@ -50,9 +50,12 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _stop(number: int, _frame: Any) -> None:
-    raise TrainError(
-        f"ended by signal {number}: another process of the training ended, or someone stopped it; --resume continues"
+    """End at once: what is written is complete at any time. An exception could come while a library holds a lock."""
+    text = (
+        "interrupted" if number == signal.SIGINT else f"ended by signal {number}, perhaps since another process ended"
     )
+    os.write(2, f"\n{PROGRAM}: {text}; --resume continues from the last checkpoint\n".encode())
+    os._exit(130 if number == signal.SIGINT else 1)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -69,14 +72,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except TrainError as error:
         print(f"{PROGRAM}: {error}", file=sys.stderr)
         return 1
-    except KeyboardInterrupt:
-        print(f"{PROGRAM}: interrupted; --resume continues from the last checkpoint", file=sys.stderr)
-        return 130
     return 0
 
 
 if __name__ == "__main__":
     signal.signal(signal.SIGTERM, _stop)
+    signal.signal(signal.SIGINT, _stop)
     status = main()
     sys.stdout.flush()
     sys.stderr.flush()

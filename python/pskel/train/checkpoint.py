@@ -1,8 +1,9 @@
 """Checkpoints, from which a training continues with the same losses.
 
-A checkpoint is the folder ``checkpoint-STEP`` with ``checkpoint.json`` (step, configuration) and ``rank-0.pt`` (modules, moments of the
-optimizers, averages, state of the task). Of sharded modules each process writes its part, ``rank-R.pt``. The folder is written under
-a temporary name and renamed, so that it is complete or not there. Random numbers depend on seed and step: there is no state of them.
+A checkpoint is the folder ``checkpoint-STEP`` with ``checkpoint.json`` (step, configuration) and ``rank-0.pt``
+(modules, moments of the optimizers, averages, state of the task). Of sharded modules each process writes its part,
+``rank-R.pt``. The folder is written under a temporary name and renamed, so that it is complete or not there. Random
+numbers depend on seed and step: there is no state of them.
 """
 
 from __future__ import annotations
@@ -160,7 +161,7 @@ def _finish(folder: Path, partial: Path, step: int, config: Mapping[str, Any]) -
 
 
 def _flat(value: Any, prefix: str = "") -> dict[str, Any]:
-    if isinstance(value, Mapping) and value:
+    if isinstance(value, Mapping):
         return {k: v for key, each in value.items() for k, v in _flat(each, f"{prefix}{key}.").items()}
     return {prefix.rstrip("."): value}
 

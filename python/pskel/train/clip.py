@@ -28,8 +28,8 @@ class Clip:
     cameras: Tensor
     """``float32 [L, V, 16]``: rows 0 to 2 of ``ego_from_camera`` (m), then fx/W, fy/H, cx/W, cy/H."""
     action: Tensor
-    """``float32 [L, 3]``: forward, left (m) and yaw (rad) since the previous frame. Zeros where no previous frame is known, as in
-    the first one of a log."""
+    """``float32 [L, 3]``: forward, left (m) and yaw (rad) since the previous frame. Zeros where no previous frame is
+    known, as in the first one of a log."""
     global_from_ego: Tensor
     """``float64 [L, 4, 4]``, m."""
     t_us: Tensor

@@ -79,14 +79,14 @@ class DataOptions:
     every: int | None = None
     """A clip has every N-th frame of a log."""
     hz: float | None = None
-    """In place of ``every``: rate of the frames, which divides the log's rate. Clips across gaps of a log are left out."""
+    """In place of ``every``: rate of the frames, which divides the log's rate. Clips across gaps are left out."""
     stride: int = 1
     """Frames from the beginning of a clip to that of the next one."""
     cameras: tuple[str, ...] | None = None
     """Channels, and their order. By default all of a log."""
     weights: tuple[float, ...] | Mapping[str, float] | None = None
-    """How often clips are drawn: a number for each --data, or numbers by pattern of log names (others have 1). Without it, each
-    clip comes once per epoch."""
+    """How often clips are drawn: a number for each --data, or numbers by pattern of log names (others have 1). Without
+    it, each clip comes once per epoch."""
     hold_out: int = 0
     """Frames N-1, 2N-1 .. of each log are for validation."""
     hold_out_logs: tuple[str, ...] = ()
@@ -104,7 +104,8 @@ class DataOptions:
     pas_cache: str | None = None
     """Folder of an export in the layout pas-cache, which has the maps of the logs."""
     variants: int = 1
-    """Variants of each rendered log: the first as recorded, the others with degraded assets, and of towns with a moved ego."""
+    """Variants of each rendered log: the first as recorded, the others with degraded assets, and of towns with a moved
+    ego."""
     augment: bool = True
     """Whether assets of the variants are degraded."""
     rasterizer: str = "auto"

@@ -16,7 +16,8 @@ __all__ = ["Ema"]
 class Ema:
     """Averages of the trained parameters of a module, which may be sharded. Buffers are not averaged.
 
-    The decay of step n, from 0 on, is ``min(decay, (1 + n) / (10 + n))``, so that the average does not remember the first weights.
+    The decay of step n, from 0 on, is ``min(decay, (1 + n) / (10 + n))``, so that the average does not remember the
+    first weights.
     """
 
     def __init__(self, module: nn.Module, decay: float) -> None:

@@ -11,7 +11,7 @@ from torch.utils.data import DataLoader, Dataset
 from .clip import Clip
 from .config import TrainOptions
 from .data.sampling import Sampler
-from .errors import DataError, TrainError, first_line
+from .errors import DataError, TrainError
 from .parallel import Processes
 from .task import Task
 
@@ -44,7 +44,7 @@ class _Batches(Dataset[Any]):
     def __getitem__(self, number: int) -> Batch | _Failure:
         options = self._options
         step, place = divmod(number, options.accumulate)
-        # Numbers of batches over processes and accumulation: the same clips for two processes as for two batches of one.
+        # Numbered over processes and accumulation: two processes have the same clips as two batches of one.
         of_step = self._processes.rank * options.accumulate + place
         batches = self._processes.count * options.accumulate
         first = (step * batches + of_step) * options.batch
@@ -125,24 +125,17 @@ def _loaded(dataset: Dataset[Any], numbers: _Numbers, workers: int, pin: bool) -
         multiprocessing_context="fork" if workers else None,
         collate_fn=_unchanged,
     )
-    return _guarded(iter(loader), workers)
+    return _guarded(iter(loader))
 
 
-def _guarded(batches: Any, workers: int) -> Generator[Any, None, None]:
-    """Yield batches; an error of the workers becomes one line."""
+def _guarded(batches: Any) -> Generator[Any, None, None]:
+    """Yield batches, and end the workers at last."""
     try:
-        while True:
-            try:
-                yield next(batches)
-            except StopIteration:
-                return
-            except RuntimeError as error:
-                if not workers or "DataLoader worker" not in str(error):
-                    raise
-                reason = first_line(error)
-                raise DataError(
-                    f"a process that reads clips was killed, out of memory? reduce train.workers ({reason})"
-                ) from error
+        yield from batches
+    except (ConnectionError, EOFError, FileNotFoundError) as error:
+        if str(error).startswith("Caught"):  # of the code in a worker
+            raise
+        raise DataError("a process that reads clips was killed, out of memory? reduce train.workers") from error
     finally:
         shutdown = getattr(batches, "_shutdown_workers", None)
         if shutdown is not None:

@@ -88,7 +88,7 @@ class _Run:
         self.task: Task = create_task(config)
         self.about = self._about()
         state = self._start(resume=resume)
-        # Workers are forked before modules are moved to the device, and before this process opens a device for rendering.
+        # Workers are forked before modules are moved to the device, and before this process renders anything.
         sampler = _sampler(self.data, config)
         self.loader = Loader(self.task, sampler, config.train, processes, self.step, config.train.steps)
         self.players = Players(self.task, config.train, processes)
@@ -243,6 +243,14 @@ def _explained(error: BaseException, config: Config, run: _Run | None, processes
             f"another process of the training ended and said why; process {processes.rank} ends in step {step + 1}"
         )
     text = str(error)
+    if "DataLoader worker" in text:
+        return TrainError(
+            f"a process that reads clips was killed, out of memory? reduce train.workers ({first_line(error)})"
+        )
+    if "Expected to have finished reduction" in text:
+        return TrainError(
+            f"a trained parameter had no gradient in step {step}: such a task needs unused_parameters = True"
+        )
     if isinstance(error, torch.OutOfMemoryError) or "DefaultCPUAllocator" in text or isinstance(error, MemoryError):
         train = config.train
         advice = []

@@ -204,7 +204,7 @@ def _board(folder: Path, steps: int) -> Any:
 
 
 def stacked(pictures: list[Tensor]) -> Tensor | None:
-    """Return pictures ``[rows, 3, H, W]`` of several clips side by side, each row below the one before, ``[3, H, W]``."""
+    """Return pictures ``[rows, 3, H, W]`` of clips in a picture ``[3, H, W]``: clips side by side, rows downwards."""
     if not pictures:
         return None
     columns = [torch.cat(list(rows.cpu()), dim=1) for rows in pictures]

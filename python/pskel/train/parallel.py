@@ -7,6 +7,7 @@ from collections.abc import Iterable, Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass
 from datetime import timedelta
+from inspect import signature
 from typing import Any, TypeVar
 
 import torch
@@ -23,6 +24,7 @@ __all__ = [
     "is_lost",
     "local",
     "lost_processes",
+    "reshard",
     "shard_module",
     "start_processes",
     "without_sync",
@@ -139,8 +141,8 @@ def end_processes() -> None:
 def shard_module(module: nn.Module, processes: Processes) -> None:
     """Divide the parameters of a module among the processes (FSDP), in place; they become ``DTensor``.
 
-    The units that are gathered at a time are the submodules whose classes ``module._no_split_modules`` names, as in diffusers and
-    transformers, and the rest of the module.
+    The units that are gathered at a time are the submodules whose classes ``module._no_split_modules`` names, as in
+    diffusers and transformers, and the rest of the module.
     """
     from torch.distributed.device_mesh import init_device_mesh
     from torch.distributed.fsdp import fully_shard
@@ -156,13 +158,27 @@ def shard_module(module: nn.Module, processes: Processes) -> None:
     fully_shard(module, mesh=mesh)
 
 
-def wrap_step(step: nn.Module, processes: Processes, *, sharded: bool) -> nn.Module:
-    """Return a module whose gradients are the means over all processes (DDP), unless they are anyway."""
+def reshard(module: nn.Module) -> None:
+    """Drop gathered parameters of a sharded module, which an evaluation leaves and the next step would use."""
+    for part in module.modules():
+        if hasattr(part, "set_requires_gradient_sync"):
+            part.reshard()  # type: ignore[operator]
+
+
+def wrap_step(step: nn.Module, processes: Processes, *, sharded: bool, unused: bool) -> nn.Module:
+    """Return a module whose gradients are the means over all processes (DDP), unless they are anyway.
+
+    With ``unused``, a step may leave parameters without a gradient.
+    """
     if processes.count == 1 or sharded:
         return step
+    ddp: Any = nn.parallel.DistributedDataParallel
+    # Buffers are the same in all processes, or statistics of each. PyTorch has renamed the option.
+    names = signature(ddp).parameters
+    buffers = "forward_sync_buffers" if "forward_sync_buffers" in names else "broadcast_buffers"
     with lost_processes():
-        # Buffers are the same in all processes, or statistics of each.
-        return nn.parallel.DistributedDataParallel(step, broadcast_buffers=False, find_unused_parameters=True)
+        wrapped: nn.Module = ddp(step, **{buffers: False}, find_unused_parameters=unused)
+        return wrapped
 
 
 class _Unsynchronized:
@@ -179,7 +195,8 @@ class _Unsynchronized:
 
 
 def without_sync(step: nn.Module, module: nn.Module) -> AbstractContextManager[Any]:
-    """Return a context in which gradients are added in each process and not averaged, for all batches of a step but the last."""
+    """Return a context in which gradients are added in each process and not averaged, for all batches of a step but the
+    last."""
     if isinstance(step, nn.parallel.DistributedDataParallel):
         context: AbstractContextManager[Any] = step.no_sync()
         return context

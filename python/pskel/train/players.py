@@ -13,7 +13,7 @@ from torch import Tensor, nn
 from .config import TrainOptions
 from .ema import Ema
 from .optimizer import clip_gradients, create_optimizer, named_groups, set_rates, step_optimizer
-from .parallel import Processes, lost_processes, shard_module, without_sync, wrap_step
+from .parallel import Processes, lost_processes, reshard, shard_module, without_sync, wrap_step
 from .task import Player, Task
 
 __all__ = ["LossOf", "Players", "autocast"]
@@ -52,6 +52,7 @@ class _Entry:
         self.player = player
         self.module = player.module
         self.is_sharded = options.shard == "fsdp"
+        unused = bool(getattr(task, "unused_parameters", False))
         groups = named_groups(player.module, player.groups, player.name)
         player.module.to(processes.device)
         if self.is_sharded:
@@ -60,7 +61,7 @@ class _Entry:
             processes.share(tensor for tensor in player.module.state_dict().values())
         self.parameters = [parameter for parameter in player.module.parameters() if parameter.requires_grad]
         self.optimizer = create_optimizer(player.module, groups, options)
-        self.step = wrap_step(_Step(task, player, processes.device), processes, sharded=self.is_sharded)
+        self.step = wrap_step(_Step(task, player, processes.device), processes, sharded=self.is_sharded, unused=unused)
 
 
 class Players:
@@ -147,6 +148,7 @@ class Players:
                     yield self.modules
         finally:
             for entry in self.entries:
+                reshard(entry.module)
                 entry.module.train()
 
 

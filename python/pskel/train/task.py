@@ -25,8 +25,8 @@ class Player(NamedTuple):
     """For instance ``network`` or ``discriminator``."""
     module: nn.Module
     groups: list[dict[str, Any]]
-    """Parameter groups of the optimizer: ``params``, and overrides of ``lr``, ``betas``, ``eps`` and ``weight_decay``. With
-    ``"schedule": "constant"`` the rate of a group is its ``lr`` in every step."""
+    """Parameter groups of the optimizer: ``params``, and overrides of ``lr``, ``betas``, ``eps`` and ``weight_decay``.
+    With ``"schedule": "constant"`` the rate of a group is its ``lr`` in every step."""
     start: int = 0
     """First step in which it is trained."""
 
@@ -34,10 +34,11 @@ class Player(NamedTuple):
 class Task(Protocol):
     """A network and its loss. The first player is the network: the harness keeps its exponential moving average.
 
-    ``pskel.models.NETWORK.task`` has a function ``task(options: Mapping, train: TrainOptions) -> Task`` that creates it, with the
-    network's own table of the configuration; random numbers of its initial weights come from PyTorch's default generator.
-    It may also have a function ``recipe(options: Mapping) -> Mapping``: how the maps of the network are rendered, if
-    ``[data.recipe]`` does not say.
+    ``pskel.models.NETWORK.task`` has a function ``task(options: Mapping, train: TrainOptions) -> Task`` that creates
+    it, with the network's own table of the configuration; random numbers of its initial weights come from PyTorch's
+    default generator. A task whose loss leaves trained parameters without a gradient in some steps has an attribute
+    ``unused_parameters = True``. The module may also have a function ``recipe(options: Mapping) -> Mapping``: how the
+    maps of the network are rendered, if ``[data.recipe]`` does not say.
     """
 
     @property
@@ -50,8 +51,9 @@ class Task(Protocol):
     def draw(self, clips: Sequence[Clip], step: int, seed: int, rank: int) -> Any:
         """Return a batch on the CPU: augmentation, noise, levels, dropouts.
 
-        Depends on its arguments alone. ``rank`` is the number of the batch in its step, over processes and accumulation. Runs
-        in processes that were forked before the first step, so it must not use the modules' parameters.
+        Depends on its arguments alone. ``rank`` is the number of the batch in its step, over processes and
+        accumulation. Runs in processes that were forked before the first step, so it must not use the modules'
+        parameters.
         """
 
     def loss(
@@ -59,8 +61,8 @@ class Task(Protocol):
     ) -> tuple[Tensor, dict[str, float]]:
         """Return the loss of a player, and numbers to log.
 
-        Runs under autocast. The parameters of the other players need no gradients meanwhile. PyTorch's default generator is
-        seeded by step and batch. With ``shard = "fsdp"``, modules must be called, not their parts.
+        Runs under autocast. The parameters of the other players need no gradients meanwhile. PyTorch's default
+        generator is seeded by step and batch. With ``shard = "fsdp"``, modules must be called, not their parts.
         """
 
     def pictures(self, clip: Clip, modules: Mapping[str, nn.Module]) -> Tensor:

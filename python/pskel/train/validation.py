@@ -43,7 +43,8 @@ def validate(
     options: tuple[TrainOptions, DataOptions],
     processes: Processes,
 ) -> Validation:
-    """Score held-out clips, or clips of the training if there are none. Processes share the clips unless modules are sharded."""
+    """Score held-out clips, or clips of the training if there are none. Processes share the clips unless modules are
+    sharded."""
     train, choice = options
     clips = spread(data.validation or data.train, choice.validation_clips)
     is_sharded = train.shard == "fsdp"

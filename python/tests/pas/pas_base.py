@@ -107,9 +107,9 @@ def unpack(message: bytes) -> tuple[dict[str, str], dict[str, Array]]:
 class Peer:
     """The generator's side of a denoiser process."""
 
-    def __init__(self, arguments: list[str], errors: Path) -> None:
+    def __init__(self, arguments: list[str], errors: Path, program: str = "pskel.models.pas") -> None:
         self.errors = errors
-        command = [sys.executable, "-m", "pskel.models.pas", *arguments]
+        command = [sys.executable, "-m", program, *arguments]
         with errors.open("wb") as file:
             self.process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=file, env=os.environ)
 

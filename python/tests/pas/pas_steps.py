@@ -9,7 +9,7 @@ import torch
 from pskel.models.pas import Config, added_time_ids, load
 from pskel.models.pas.training.draws import Draws
 from pskel.models.pas.training.module import TrainedNetwork
-from pskel.models.pas.training.step import Batch, StepOptions
+from pskel.models.pas.training.step import Batch, StepOptions, Texts
 from safetensors.torch import load_file
 
 SHARED = Path(os.environ.get("PSKEL_SHARED", Path(__file__).parents[4] / "shared"))
@@ -32,10 +32,6 @@ class Case(NamedTuple):
     """Of the steps."""
 
     @property
-    def with_points(self) -> bool:
-        return not self.name.endswith("layout")
-
-    @property
     def options(self) -> StepOptions:
         """As the authors' code reads its configuration; a missing key, or a misspelt one, has no effect."""
         config = self.meta["training_config"]
@@ -49,6 +45,7 @@ class Case(NamedTuple):
             single_frames=config.get("image_generation_ratio", 0.0),
             input_scale_std=config.get("reference_frame_scale_std", 0.0),
             input_offset_std=config.get("reference_frame_offset_std", 0.0),
+            with_points=not self.name.endswith("layout"),
         )
 
 
@@ -91,10 +88,17 @@ def batch_of(case: Case) -> Batch:
         depth_bins=torch.where(empty, 0, raw["depth_bins"].to(torch.int16)),
         bin_count=256,
         ids=ids,
-        text=torch.cat([raw["empty_hidden_states"][None], raw["text_hidden_states"].flatten(0, 2)]),
-        pooled=torch.cat([raw["empty_pooled"][None], raw["text_pooled"].flatten(0, 2)]),
-        caption=torch.arange(1, 1 + leading.numel()).view(leading),
         mask=raw["crossview_mask"].bool(),
+        texts=("", *(f"caption {i}" for i in range(leading.numel()))),
+        caption=torch.arange(1, 1 + leading.numel()).view(leading),
+    )
+
+
+def texts_of(case: Case) -> Texts:
+    raw = case.batch
+    return Texts(
+        torch.cat([raw["empty_hidden_states"][None], raw["text_hidden_states"].flatten(0, 2)]),
+        torch.cat([raw["empty_pooled"][None], raw["text_pooled"].flatten(0, 2)]),
     )
 
 

@@ -259,8 +259,8 @@ fn denoisers_receive_the_documented_messages() {
     let all = |of: fn(&FrameConditions) -> Vec<f32>| conditions.iter().flat_map(of).collect::<Vec<f32>>();
     assert_eq!(tensor(&message, "timesteps"), (vec![4], vec![0.0, 250.0, 500.0, 750.0]));
     assert_eq!(tensor(&message, "sigmas"), (vec![4], vec![0.0, 0.25, 0.5, 0.75]));
-    assert_eq!(tensor(&message, "points"), (vec![4, 2, 20, 16, 24], all(|c| c.points.clone())));
-    assert_eq!(tensor(&message, "layout"), (vec![4, 2, 6, 16, 24], all(|c| c.layout.clone())));
+    assert_eq!(tensor(&message, "points"), (vec![4, 2, 20, 16, 24], all(FrameConditions::points)));
+    assert_eq!(tensor(&message, "layout"), (vec![4, 2, 6, 16, 24], all(FrameConditions::layout)));
     assert_eq!(tensor(&message, "action"), (vec![4, 3], all(|c| c.action.to_vec())));
     assert_eq!(tensor(&message, "cameras"), (vec![4, 2, 16], all(|c| c.cameras.concat())));
     let (shape, latents) = tensor(&message, "latents");

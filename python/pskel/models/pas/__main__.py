@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import argparse
+import json
 import sys
 from collections.abc import Sequence
 from io import BufferedIOBase
+from typing import Any
 
 from .. import _command
 from .._rig import CAMERA_NUMBERS
+from .checkpoint import read_header
 from .config import Config
 
 _PROGRAM = "pskel.models.pas"
@@ -37,12 +40,16 @@ def parser() -> argparse.ArgumentParser:
         metavar="DIR",
         help="Stable Diffusion 3.5 Medium, with vae, text_encoder, text_encoder_2, text_encoder_3 and their tokenizers",
     )
-    parser.add_argument("--config", metavar="F.json", help="sizes of the network (default: the published checkpoints)")
+    parser.add_argument(
+        "--config",
+        metavar="F.json",
+        help="sizes of the network (default: those in the header of the weights, else of the published checkpoints)",
+    )
     parser.add_argument(
         "--camera-numbers",
         choices=CAMERA_NUMBERS,
-        help="intrinsics that the network was trained with (default: those of the published checkpoint for these cameras; "
-        "nuPlan: fx,0,cx,fy)",
+        help="intrinsics that the network was trained with (default: those in the header of the weights, else of the "
+        "published checkpoint for these cameras; nuPlan: fx,0,cx,fy)",
     )
     _command.add_options(parser)
     return parser
@@ -50,14 +57,22 @@ def parser() -> argparse.ArgumentParser:
 
 def _serve(options: argparse.Namespace, source: BufferedIOBase, out: BufferedIOBase) -> None:
     device = _command.device_of(options.device)
-    config = Config() if options.config is None else Config.read(options.config)
+    header = read_header(options.weights)
+    config = _config(options.config, header, options.weights)
+    numbers: Any = options.camera_numbers or header.get("camera_numbers")
     # These import transformers.
     from .denoiser import Models
     from .server import serve
 
     _command.silence()
     models = Models.load(options.weights, options.base, config, dtype=_command.DTYPES[options.dtype], device=device)
-    serve(source, out, models, cached_frames=options.cached_frames, camera_numbers=options.camera_numbers)
+    serve(source, out, models, cached_frames=options.cached_frames, camera_numbers=numbers)
+
+
+def _config(path: str | None, header: dict[str, str], weights: str) -> Config:
+    if path is not None:
+        return Config.read(path)
+    return Config.parse(json.loads(header["config"]), weights) if "config" in header else Config()
 
 
 if __name__ == "__main__":

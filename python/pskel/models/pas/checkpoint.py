@@ -4,20 +4,23 @@ from __future__ import annotations
 
 import os
 import pickle
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import torch
-from safetensors import SafetensorError
+from safetensors import SafetensorError, safe_open
 from safetensors.torch import load_file
 from torch import Tensor
 
 from .._weights import expect_tensors
+from .blocks import ImageAdapter
 from .config import Config
 from .network import Network
 
-__all__ = ["load"]
+__all__ = ["load", "load_start", "read_header", "read_tensors"]
 
+_POINTS = "condition_pc_adapter."
 _ZIP = b"PK\x03\x04"
 
 
@@ -37,16 +40,48 @@ def load(
     Raises ``ValueError``, which names the file, if it is no checkpoint, or if tensors are missing, additional or of another
     shape; ``OSError`` if it cannot be read.
     """
+    return _assigned(config, read_tensors(path), path, dtype, device).eval()
+
+
+def load_start(path: str | os.PathLike[str], config: Config = Config()) -> Network:
+    """Read the weights that a training starts from, in ``float32``; returns the network in training mode.
+
+    As ``load``, but the adapter of points may be missing. It is new then, with random weights from PyTorch's generator, and
+    its zero convolutions are 0, so that it changes nothing yet.
+    """
+    tensors = read_tensors(path)
+    if not any(name.startswith(_POINTS) for name in tensors):
+        adapter = ImageAdapter(config.condition_pc_adapter_config)
+        tensors |= {_POINTS + name: tensor for name, tensor in adapter.state_dict().items()}
+    return _assigned(config, tensors, path, torch.float32, "cpu").train()
+
+
+def read_header(path: str | os.PathLike[str]) -> dict[str, str]:
+    """Return the texts in the header of a safetensors file; none for another file."""
+    if Path(path).suffix != ".safetensors":
+        return {}
+    try:
+        with safe_open(path, "pt") as file:
+            return dict(file.metadata() or {})
+    except SafetensorError as error:
+        raise ValueError(f"expected a file of safetensors, found {error}: {os.fspath(path)}") from error
+
+
+def _assigned(
+    config: Config, tensors: Mapping[str, Tensor], path: str | os.PathLike[str], dtype: torch.dtype, device: str | torch.device
+) -> Network:
+    """A network with these tensors, converted one by one."""
     with torch.device("meta"):
         network = Network(config)
-    tensors = _read(Path(path))
     expect_tensors(network.state_dict(), tensors, path)
     weights = {name: tensor.to(device, dtype) for name, tensor in tensors.items()}
     network.load_state_dict(weights, assign=True)
-    return network.eval()
+    return network
 
 
-def _read(path: Path) -> dict[str, Tensor]:
+def read_tensors(path: str | os.PathLike[str]) -> dict[str, Tensor]:
+    """Read the tensors of a checkpoint; raises ``ValueError``, which names the file, if it is none, and ``OSError``."""
+    path = Path(path)
     with path.open("rb") as file:
         beginning = file.read(16)
     if path.suffix == ".safetensors":

@@ -47,7 +47,7 @@ class ImageCodec:
 
     def encode(self, images: Tensor) -> Tensor:
         """Encode RGB images ``[N, 3, H, W]`` of 0 to 1 as the mode of the posterior, ``float32 [N, C, H/8, W/8]``."""
-        with torch.inference_mode():
+        with torch.inference_mode(), torch.autocast(self.device.type, enabled=False):
             latents: Tensor = self.vae.encode(images.to(self.device, torch.float32) * 2.0 - 1.0).latent_dist.mode()
             return self.scaled(latents)
 
@@ -60,12 +60,22 @@ class ImageCodec:
             distribution = self.vae.encode(images.to(self.device, torch.float32) * 2.0 - 1.0).latent_dist
             return distribution.mean, distribution.std
 
+    def sample(self, images: Tensor, noise: Tensor, at_once: int) -> Tensor:
+        """Encode images ``uint8 [.., 3, H, W]`` as samples of the posterior, ``float32 [.., C, H/8, W/8]``.
+
+        ``noise`` is normal and has the shape of the result; with 0 it is the mode. ``at_once`` images are encoded at a time.
+        """
+        parts = torch.split(images.flatten(0, -4), at_once)
+        moments = [self.posterior(part.to(self.device).float() / 255.0) for part in parts]
+        mean, std = (torch.cat(values).view(noise.shape) for values in zip(*moments))
+        return self.scaled(mean + std * noise)
+
     def scaled(self, z: Tensor) -> Tensor:
         """Shift and scale values ``z`` of the posterior to latents."""
         return (z - self.shift) * self.scale
 
     def decode(self, latents: Tensor) -> Tensor:
         """Decode latents ``[N, C, h, w]`` to RGB images ``float32 [N, 3, 8 h, 8 w]`` of 0 to 1."""
-        with torch.inference_mode():
+        with torch.inference_mode(), torch.autocast(self.device.type, enabled=False):
             images: Tensor = self.vae.decode(latents.to(self.device, torch.float32) / self.scale + self.shift).sample
             return (images / 2.0 + 0.5).clamp(0.0, 1.0)

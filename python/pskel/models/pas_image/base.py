@@ -34,11 +34,7 @@ def base_config(folder: Path) -> Config:
 
     Raises ``ValueError``, which names the file and the key, if it is another kind of UNet.
     """
-    path = folder / "unet" / "config.json"
-    try:
-        found: dict[str, Any] = json.loads(path.read_bytes())
-    except ValueError as error:
-        raise ValueError(f"expected JSON, found {first_line(error)}: {path}") from error
+    found, path = _unet_config(folder)
     sizes = set(Config().unet) & set(vars(Config()))
     config = Config.parse({key: found[key] for key in sizes if key in found}, str(path))
     _expect_same(config, found, path)
@@ -50,16 +46,23 @@ def load_unet(folder: Path, config: Config) -> UNet2DConditionModel:
 
     Raises ``ValueError``, which names the file or folder, if it cannot be read or has other sizes than ``config``.
     """
-    path = folder / "unet" / "config.json"
-    try:
-        found = json.loads(path.read_bytes())
-    except ValueError as error:
-        raise ValueError(f"expected JSON, found {first_line(error)}: {path}") from error
+    found, path = _unet_config(folder)
     _expect_same(config, found, path)
     try:
         return UNet2DConditionModel.from_pretrained(folder / "unet", torch_dtype=torch.float32, local_files_only=True)
     except Exception as error:  # of many kinds, by what the files are
         raise ValueError(f"expected a UNet2DConditionModel, found {first_line(error)}: {folder / 'unet'}") from error
+
+
+def _unet_config(folder: Path) -> tuple[dict[str, Any], Path]:
+    path = folder / "unet" / "config.json"
+    try:
+        found = json.loads(path.read_bytes())
+    except ValueError as error:
+        raise ValueError(f"expected JSON, found {first_line(error)}: {path}") from error
+    if not isinstance(found, dict):
+        raise ValueError(f"expected a JSON object, found {json.dumps(found)[:40]}: {path}")
+    return found, path
 
 
 def _expect_same(config: Config, found: dict[str, Any], path: Path) -> None:

@@ -44,7 +44,6 @@ class Adapter(nn.Module):
         self.body = T2IAdapter(
             in_channels=in_channels,
             channels=channels,
-            num_res_blocks=config.adapter_res_blocks,
             downscale_factor=LATENT_SCALE,
             adapter_type="full_adapter",
         )

@@ -19,13 +19,13 @@ from .base import expect_base, load_unet
 from .config import Config
 from .network import Network
 
-__all__ = ["Training", "create", "header", "is_trained", "load", "read_header", "saved_tensors"]
+__all__ = ["LORA_LAYERS", "Training", "create", "header", "is_trained", "load", "read_header", "saved_tensors"]
 
 _FORMAT = "pskel-pas-image"
 _VERSION = "1"
 _ADDED = re.compile(r"\.(view|across_views|across_frames)\.")
 """Modules that are added to the UNet."""
-_LORA_LAYERS = r".*\.spatial\.transformer_blocks\.\d+\.(attn[12]\.(to_q|to_k|to_v|to_out\.0)|ff\.net\.(0\.proj|2))"
+LORA_LAYERS = r".*\.spatial\.transformer_blocks\.\d+\.(attn[12]\.(to_q|to_k|to_v|to_out\.0)|ff\.net\.(0\.proj|2))"
 """Linear layers of the UNet's transformers."""
 
 
@@ -45,7 +45,7 @@ def create(config: Config, base: str | os.PathLike[str]) -> Network:
     """
     network = Network(config, load_unet(expect_base(base, with_unet=True), config))
     if config.trained == "lora":
-        add_lora(network.unet, config.lora_rank, _LORA_LAYERS)
+        add_lora(network.unet, config.lora_rank, LORA_LAYERS)
     for name, parameter in network.named_parameters():
         parameter.requires_grad_(is_trained(name, config))
     return network
@@ -111,7 +111,7 @@ def load(
     with torch.device("meta"):
         network = Network(config, unet)
     expected = saved_tensors(network.state_dict(), config)
-    lora = lora_tensors(network.unet, config.lora_rank, _LORA_LAYERS, "unet.") if config.trained == "lora" else {}
+    lora = lora_tensors(network.unet, config.lora_rank, LORA_LAYERS, "unet.") if config.trained == "lora" else {}
     expect_tensors({**expected, **lora}, tensors, path)
     network.load_state_dict({name: tensors[name] for name in expected}, strict=False, assign=True)
     merge_lora(network.state_dict(), {name: tensors[name] for name in lora})

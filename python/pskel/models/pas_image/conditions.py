@@ -11,6 +11,7 @@ from torch import Tensor
 from .._condition import POINT_CHANNELS as MAP_CHANNELS
 from .._rig import Rig, inverse, ring_mask
 from ..pas.ids import ids_from_motion
+from ..pas.training.collate import clip_name, rig_of
 from ..pas.training.depth import depth_channels
 from .config import LATENT_SCALE, Config
 from .network import POINT_CHANNELS
@@ -70,7 +71,7 @@ def collate(clips: Sequence[Clip], config: Config) -> Batch:
         bins=torch.stack([clip.bins for clip in clips]),
         bin_count=count,
         ids=torch.stack([_ids(clip) for clip in clips]),
-        mask=torch.stack([visible(_rig(clip)) for clip in clips]),
+        mask=torch.stack([visible(rig_of(clip)) for clip in clips]),
         texts=tuple(texts),
         caption=torch.tensor([[[texts[text] for text in frame] for frame in clip.captions] for clip in clips]),
     )
@@ -99,11 +100,6 @@ def expect_size(size: Sequence[int]) -> None:
         raise ValueError(f"expected height and width in multiples of {LATENT_SCALE}, found {height}x{width}")
 
 
-def _rig(clip: Clip) -> Rig:
-    sizes = tuple((int(width), int(height)) for height, width in clip.original_sizes.tolist())
-    return Rig(clip.names, sizes, clip.hz)
-
-
 def _ids(clip: Clip) -> Tensor:
     return ids_from_motion(clip.cameras, clip.original_sizes.flip(-1), clip.action, clip.hz)
 
@@ -112,12 +108,12 @@ def _bin_count(clip: Clip) -> int:
     bins = clip.recipe.get("bins", {})
     count = bins.get("count", Config().depth_bins)  # the default of a recipe
     if type(count) is not int:
-        raise ValueError(f"expected bins.count as a whole number in the recipe of {_name(clip)}, found {count!r}")
+        raise ValueError(f"expected bins.count as a whole number in the recipe of {clip_name(clip)}, found {count!r}")
     return count
 
 
 def _expect_same(clip: Clip, first: Clip, count: int, config: Config) -> None:
-    name, found = _name(clip), _bin_count(clip)
+    name, found = clip_name(clip), _bin_count(clip)
     if len(clip.images) < 2:
         raise ValueError(f"expected clips of at least 2 frames, found 1: {name}")
     try:
@@ -131,7 +127,3 @@ def _expect_same(clip: Clip, first: Clip, count: int, config: Config) -> None:
     if clip.images.shape != first.images.shape:
         expected, shape = list(first.images.shape), list(clip.images.shape)
         raise ValueError(f"expected images of {expected} as in the first clip of the batch, found {shape}: {name}")
-
-
-def _name(clip: Clip) -> str:
-    return f"log {clip.log}, frame {clip.frame}"

@@ -42,8 +42,6 @@ class Config:
     norm_num_groups: int = 32
     in_channels: int = 4
     """Channels of the latents."""
-    adapter_res_blocks: int = 2
-    """Residual blocks of the adapters at each size."""
     depth: Literal["continuous", "both"] = "continuous"
     """``both``: sines and cosines of the depth bins fill the last 16 of the points' channels, which are 0 otherwise."""
     depth_bins: int = 256
@@ -133,6 +131,5 @@ TINY = Config(
     attention_head_dim=2,
     cross_attention_dim=24,
     norm_num_groups=8,
-    adapter_res_blocks=1,
 )
 """Sizes for tests."""

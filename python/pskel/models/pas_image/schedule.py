@@ -56,9 +56,9 @@ class Schedule:
         The loop has no table of zero signal at the last step. Without ``zero_snr`` both tables are the same. Raises
         ``ValueError`` for timesteps that are not in the table.
         """
-        index = [round(timestep) for timestep in timesteps]
-        if wrong := [t for t, i in zip(timesteps, index) if not (0 <= i < TIMESTEPS and abs(t - i) < 1e-3)]:
+        if wrong := [timestep for timestep in timesteps if timestep not in range(TIMESTEPS)]:
             raise ValueError(f"expected whole timesteps of 0 to {TIMESTEPS - 1}, found {wrong[0]:g}")
+        index = [int(timestep) for timestep in timesteps]
         if not self.zero_snr:
             return torch.tensor(index, dtype=torch.float32)
         signals, wanted = self.table.double().sqrt(), _table(False).double().sqrt()[index]

@@ -6,7 +6,7 @@ Skeleton*). In the others every frame has a level of its own (diffusion forcing,
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import NamedTuple
 
@@ -21,7 +21,10 @@ from .config import Config
 from .network import Inputs
 from .schedule import TIMESTEPS, Schedule
 
-__all__ = ["Draws", "StepOptions", "Targets", "levels_of", "loss_of", "noisy_inputs"]
+__all__ = ["DROPPABLE", "Draws", "StepOptions", "Targets", "conditioned", "errors_of", "levels_of", "loss_of", "noisy_inputs"]
+
+DROPPABLE = ("text", "boxes", "map", "action", "depth", "color", "single_frames")
+"""Parts of the conditions that a clip may be without; the last is attention across frames."""
 
 
 @dataclass(frozen=True)
@@ -50,6 +53,11 @@ class StepOptions:
         if not 0 <= self.previous_from <= self.previous_to < TIMESTEPS:
             found = f"{self.previous_from} and {self.previous_to}"
             raise ValueError(f"expected previous_from of at most previous_to, from 0 to {TIMESTEPS - 1}, found {found}")
+
+    def chance(self, part: str) -> float:
+        """Return the probability that a clip is without a part of ``DROPPABLE``."""
+        chance: float = self.single_frames if part == "single_frames" else getattr(self, f"drop_{part}")
+        return chance
 
 
 class Draws(NamedTuple):
@@ -120,6 +128,29 @@ def levels_of(draws: Draws, options: StepOptions) -> tuple[Tensor, Tensor]:
     return torch.where(is_previous, nearly_clean, free), ~is_previous
 
 
+def conditioned(
+    batch: Batch, text: Tensor, sample: Tensor, timestep: Tensor, dropped: Mapping[str, Tensor], config: Config
+) -> Inputs:
+    """Return the network's inputs for noisy latents ``sample`` ``[B, T, V, C, h, w]`` at levels ``timestep`` ``[B, T]``.
+
+    ``text`` are the tokens of the batch's texts, ``[N, S, D]``. ``dropped`` are, ``bool [B]`` each, the clips without each of ``DROPPABLE``.
+    """
+    caption = torch.where(_per_clip(dropped["text"], 3), 0, batch.caption)
+    bins = torch.where(_per_clip(dropped["depth"], 5), 0, batch.bins)
+    points = [_map(batch.color, dropped["color"]), depth_channels(bins, batch.bin_count, config.depth)]
+    layout = [_map(batch.boxes, dropped["boxes"]), _map(batch.map, dropped["map"])]
+    return Inputs(
+        sample=sample,
+        timestep=timestep.float(),
+        text=text[caption],
+        layout=torch.cat(layout, dim=3),
+        points=torch.cat(points, dim=3),
+        ids=_ids(batch.ids, dropped["action"]),
+        mask=batch.mask,
+        single_frames=dropped["single_frames"],
+    )
+
+
 def noisy_inputs(
     batch: Batch,
     text: Tensor,
@@ -129,34 +160,20 @@ def noisy_inputs(
     config: Config,
     options: StepOptions = StepOptions(),
 ) -> tuple[Inputs, Targets]:
-    """Add noise to latents ``float32 [B, T, V, C, h, w]``, and drop conditions.
-
-    ``text`` are the tokens of the batch's texts, ``[N, S, D]``.
-    """
+    """Add noise to latents ``float32 [B, T, V, C, h, w]``, and drop conditions; see ``conditioned``."""
     timesteps, is_counted = levels_of(draws, options)
-    caption = torch.where(_per_clip(draws.text < options.drop_text, 3), 0, batch.caption)
-    bins = torch.where(_per_clip(draws.depth < options.drop_depth, 5), 0, batch.bins)
-    points = [
-        _map(batch.color, draws.color < options.drop_color),
-        depth_channels(bins, batch.bin_count, config.depth),
-    ]
-    layout = [_map(batch.boxes, draws.boxes < options.drop_boxes), _map(batch.map, draws.map < options.drop_map)]
-    inputs = Inputs(
-        sample=schedule.noisy(latents, draws.noise, timesteps),
-        timestep=timesteps.float(),
-        text=text[caption],
-        layout=torch.cat(layout, dim=3),
-        points=torch.cat(points, dim=3),
-        ids=_ids(batch.ids, draws.action < options.drop_action),
-        mask=batch.mask,
-        single_frames=draws.single_frames < options.single_frames,
-    )
+    dropped = {part: getattr(draws, part) < options.chance(part) for part in DROPPABLE}
+    inputs = conditioned(batch, text, schedule.noisy(latents, draws.noise, timesteps), timesteps, dropped, config)
     return inputs, Targets(schedule.target(config.prediction, latents, draws.noise, timesteps), is_counted)
 
 
-def loss_of(output: Tensor, targets: Targets) -> Tensor:
-    """Return the mean square error of an output ``[B, T, V, C, h, w]`` over the frames that count."""
-    errors = (output.float() - targets.output).square().mean(dim=(2, 3, 4, 5))
+def errors_of(output: Tensor, targets: Targets) -> Tensor:
+    """Return the mean square error of each frame, ``float32 [B, T]``, of an output ``[B, T, V, C, h, w]``."""
+    return (output.float() - targets.output).square().mean(dim=(2, 3, 4, 5))
+
+
+def loss_of(errors: Tensor, targets: Targets) -> Tensor:
+    """Return the mean of ``errors_of`` over the frames that count."""
     counted = targets.is_counted.to(errors)
     return (errors * counted).sum() / counted.sum()
 

@@ -103,9 +103,9 @@ class Track:
     ) -> Track:
         """Choose the clips of a drive.
 
-        With ``hold_out`` N, frames N-1, 2N-1 .. are left out; with ``held_out`` only those are taken, at the spacing that is
-        nearest to the others'. Raises ``DataError`` for a camera that the drive does not have, and a rate that does not
-        divide the drive's.
+        With ``hold_out`` N, frames N-1, 2N-1 .. are left out; with ``held_out`` only those are taken, at the spacing
+        that is nearest to the others'. Raises ``DataError`` for a camera that the drive does not have, and a rate that
+        does not divide the drive's.
         """
         chosen = [[f for f in run if not hold_out or ((f + 1) % hold_out == 0) == held_out] for run in drive.runs]
         step = (every or 1) if hz is None else _step(drive, hz)

@@ -38,7 +38,7 @@ class LogMaps(NamedTuple):
 
 
 def is_town(text: str) -> bool:
-    """Return whether a log, by the text that opens it, is a synthetic town, whose images can be rendered from any pose."""
+    """Return whether a log is a synthetic town, by the text that opens it. Its images can be rendered from any pose."""
     return text.startswith("town:")
 
 
@@ -57,7 +57,8 @@ def open_log(text: str) -> pskel.Log:
 def mounted_cameras(log: pskel.Log, frame: int) -> npt.NDArray[np.float64]:
     """Return ``ego_from_camera`` of the cameras at a key frame, ``[V, 4, 4]``: the mounting positions.
 
-    The cameras of a key frame are where their images were taken, some milliseconds apart; those of an instant are together.
+    The cameras of a key frame are where their images were taken, some milliseconds apart; those of an instant are
+    together.
     """
     scene = log.at(log.times_us[frame])
     mounted: npt.NDArray[np.float64] = np.linalg.inv(scene.ego) @ np.linalg.inv(scene.camera_from_global)
@@ -65,7 +66,8 @@ def mounted_cameras(log: pskel.Log, frame: int) -> npt.NDArray[np.float64]:
 
 
 def log_images(log: pskel.Log, scene: pskel.Scene, recipe: Mapping[str, Any], *, town: bool) -> npt.NDArray[np.uint8]:
-    """Return the images of a scene, ``uint8 [V, H, W, 3]`` of the recipe's ``size``; those of a town are rendered at ``drawn``.
+    """Return the images of a scene, ``uint8 [V, H, W, 3]`` of the recipe's ``size``; those of a town are rendered at
+    ``drawn``.
 
     Raises ``DataError`` if there are none.
     """

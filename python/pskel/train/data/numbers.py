@@ -20,7 +20,8 @@ CAMERA_NUMBERS = 16
 def camera_numbers(ego_from_camera: Array, intrinsics: Array, sizes: Array) -> npt.NDArray[np.float32]:
     """Return ``float32 [V, 16]``: the upper three rows of ``ego_from_camera``, then fx/W, fy/H, cx/W, cy/H.
 
-    ``ego_from_camera`` is ``[V, 4, 4]`` in meters, ``intrinsics`` ``[V, 3, 3]`` in pixels of ``sizes`` ``[V, 2]`` (height, width).
+    ``ego_from_camera`` is ``[V, 4, 4]`` in meters, ``intrinsics`` ``[V, 3, 3]`` in pixels of ``sizes`` ``[V, 2]``
+    (height, width).
     """
     height, width = np.asarray(sizes, np.float64).reshape(-1, 2).T
     k = np.asarray(intrinsics, np.float64)
@@ -30,7 +31,8 @@ def camera_numbers(ego_from_camera: Array, intrinsics: Array, sizes: Array) -> n
 
 
 def ego_motion(before: Array | None, after: Array) -> npt.NDArray[np.float32]:
-    """Return the motion from one ego pose to the next, ``float32 [3]``: forward and left (m) in the ego frame before, yaw (rad).
+    """Return the motion from one ego pose to the next, ``float32 [3]``: forward and left (m) in the ego frame before,
+    yaw (rad).
 
     Poses are ``global_from_ego`` ``[4, 4]``. Without a pose before, the motion is zero.
     """
@@ -40,17 +42,17 @@ def ego_motion(before: Array | None, after: Array) -> npt.NDArray[np.float32]:
     return np.array([moved[0, 3], moved[1, 3], math.atan2(moved[1, 0], moved[0, 0])], np.float32)
 
 
-def joined(first: Array, second: Array) -> npt.NDArray[np.float32]:
+def joined(first: npt.ArrayLike, second: npt.ArrayLike) -> npt.NDArray[np.float32]:
     """Return the motion of two motions ``[3]`` in a row, in the plane."""
-    forward, left, yaw = (float(x) for x in first)
+    forward, left, yaw = (float(x) for x in np.asarray(first))
     c, s = math.cos(yaw), math.sin(yaw)
-    ahead, aside, turn = (float(x) for x in second)
+    ahead, aside, turn = (float(x) for x in np.asarray(second))
     return np.array([forward + c * ahead - s * aside, left + s * ahead + c * aside, yaw + turn], np.float32)
 
 
-def moved_by(pose: Array, motion: Array) -> npt.NDArray[np.float64]:
+def moved_by(pose: npt.ArrayLike, motion: npt.ArrayLike) -> npt.NDArray[np.float64]:
     """Return the pose ``[4, 4]`` after a motion ``[3]`` in the plane of the ego."""
-    forward, left, yaw = (float(x) for x in motion)
+    forward, left, yaw = (float(x) for x in np.asarray(motion))
     c, s = math.cos(yaw), math.sin(yaw)
     step = np.array([[c, -s, 0, forward], [s, c, 0, left], [0, 0, 1, 0], [0, 0, 0, 1]])
     moved: npt.NDArray[np.float64] = np.asarray(pose, np.float64) @ step

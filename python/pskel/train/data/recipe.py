@@ -144,7 +144,8 @@ def renderer_keywords(recipe: Mapping[str, Any]) -> dict[str, Any]:
 def depth_bins(depth_m: npt.NDArray[np.float32], bins: Mapping[str, Any]) -> npt.NDArray[np.int16]:
     """Return the bins of depths in meters, 1 to ``count``; 0 where empty (infinite, NaN, or not positive).
 
-    Computed in ``float32`` step by step as the renderer does (docs/src/reference/maps.md), so that the bins are the same.
+    Computed in ``float32`` step by step as the renderer does (docs/src/reference/maps.md), so that the bins are the
+    same.
     """
     depth = np.asarray(depth_m, np.float32)
     empty = ~(np.isfinite(depth) & (depth > 0))

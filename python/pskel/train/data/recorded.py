@@ -1,9 +1,10 @@
 """Recorded clips: safetensors files with an array per map, of which windows are read.
 
-Arrays are ``color``, ``boxes``, ``map``, ``truth`` (U8 ``[F, V, H, W, 3]``), ``bins`` (U16 or I16 ``[F, V, H, W]``), ``action``
-(F32 ``[F, 3]``) and ``cameras`` (F32 ``[F, V, 16]``). The metadata ``drive`` is JSON of log, source, rate, cameras and recipe. Files
-of this package also have ``global_from_ego`` (F64 ``[F, 4, 4]``), ``t_us`` (I64 ``[F]``), ``original_sizes`` (I64 ``[V, 2]``) and the
-metadata ``clip``: JSON of variant, identity, captions (``[F][V]``, or null) and runs of frames without gaps.
+Arrays are ``color``, ``boxes``, ``map``, ``truth`` (U8 ``[F, V, H, W, 3]``), ``bins`` (U16 or I16 ``[F, V, H, W]``),
+``action`` (F32 ``[F, 3]``) and ``cameras`` (F32 ``[F, V, 16]``). The metadata ``drive`` is JSON of log, source, rate,
+cameras and recipe. Files of this package also have ``global_from_ego`` (F64 ``[F, 4, 4]``), ``t_us`` (I64 ``[F]``),
+``original_sizes`` (I64 ``[V, 2]``) and the metadata ``clip``: JSON of variant, identity, captions (``[F][V]``, or null)
+and runs of frames without gaps.
 """
 
 from __future__ import annotations

@@ -1,6 +1,7 @@
 """Logs that are rendered on the fly, and recordings of them.
 
-Variant 0 of a log is as recorded. The others have degraded assets, and in synthetic towns a moved ego with images of its pose.
+Variant 0 of a log is as recorded. The others have degraded assets, and in synthetic towns a moved ego with images of
+its pose.
 """
 
 from __future__ import annotations
@@ -49,7 +50,7 @@ class Variant:
 
     @classmethod
     def create(cls, log: str, number: int, *, town: bool, augment: bool) -> Variant:
-        """Return a variant of a log. Recorded images exist at the recorded poses alone, so that only towns are moved."""
+        """Return a variant of a log. Only towns are moved: recorded images exist at the recorded poses alone."""
         if number == 0:
             return cls()
         random = np.random.default_rng((SEED, zlib.crc32(log.encode()), number))

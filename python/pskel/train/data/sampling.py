@@ -33,8 +33,8 @@ class Drawn(NamedTuple):
 class Sampler:
     """Draws clips of tracks.
 
-    Without ``shares``, each clip comes once per epoch, in another order in each. With them, a track is drawn by its share, then
-    one of its clips, with replacement.
+    Without ``shares``, each clip comes once per epoch, in another order in each. With them, a track is drawn by its
+    share, then one of its clips, with replacement.
     """
 
     def __init__(self, tracks: Sequence[Track], shares: Sequence[float] | None, seed: int) -> None:

@@ -1,6 +1,7 @@
 """Shards of ``pskel export --layout webdataset --images``.
 
-A shard is a tar file whose members are read by their places. A process indexes a shard when it reads from it for the first time.
+A shard is a tar file whose members are read by their places. A process indexes a shard when it reads from it for the
+first time.
 """
 
 from __future__ import annotations
@@ -30,8 +31,10 @@ __all__ = ["ShardDrive", "drives_of_shards"]
 
 _OPEN_SHARDS = 8
 _SAMPLES_OF_RATE = 17
+_SAME_RATIO = 1e-3
+"""Relative difference between ratios of width and height that are the same."""
 _ASPECT_SCALE = 16
-"""Original sizes that are not known are given as multiples of the size of the maps; only their ratio means something."""
+"""Original sizes that are not known are multiples of the size of the maps; only their ratio means something."""
 Array = npt.NDArray[Any]
 
 
@@ -99,7 +102,8 @@ class _Shard:
         self._file.close()
 
 
-_shards: OrderedDict[Path, _Shard] = OrderedDict()
+_shards: OrderedDict[tuple[Path, int, int], _Shard] = OrderedDict()
+"""By path, time and size of the file."""
 
 
 def _shard(path: Path) -> _Shard:
@@ -107,12 +111,17 @@ def _shard(path: Path) -> _Shard:
 
     File places are read with ``pread``, so that a fork may share the file with its parent.
     """
-    shard = _shards.pop(path, None)
+    try:
+        about = path.stat()
+    except OSError as error:
+        raise DataError(f"the shard cannot be read: {error.strerror}: {path}") from error
+    key = path, about.st_mtime_ns, about.st_size
+    shard = _shards.pop(key, None)
     if shard is None:
         while len(_shards) >= _OPEN_SHARDS:
             _shards.popitem(last=False)[1].close()
         shard = _Shard(path)
-    _shards[path] = shard
+    _shards[key] = shard
     return shard
 
 
@@ -253,8 +262,8 @@ class ShardDrive(Drive):
     def _pose(self, frame: int) -> npt.NDArray[np.float64]:
         """Return ``global_from_ego`` of a sample.
 
-        The metadata have the pose of each camera: in samples at a rate, the pose at the time of the sample; else at the time of its
-        image. The pose of the sample then lies between poses of it and its neighbors.
+        The metadata have the pose of each camera: in samples at a rate, the pose at the time of the sample; else at the
+        time of its image. The pose of the sample then lies between poses of it and its neighbors.
         """
         shard, sample = self._place(frame)
         meta = shard.meta(sample)
@@ -271,13 +280,17 @@ class ShardDrive(Drive):
         return pose_at(int(meta["t_us"]), known)
 
     def _original(self, camera: Mapping[str, Any]) -> npt.NDArray[np.int64]:
-        """Return height and width of the recorded image: the size at which maps were rendered, or the ratio of square pixels."""
-        if self._drawn is not None:
-            return np.array([int(side) for side in self._drawn.split("x")], np.int64)
+        """Return height and width of the recorded image, which the metadata do not have: that of square pixels.
+
+        It is the size at which maps were rendered if that has the same ratio, else only the ratio means something.
+        """
         height, width = int(camera["height"]), int(camera["width"])
-        fx, fy = camera["intrinsics"][0][0], camera["intrinsics"][1][1]
-        high = height * _ASPECT_SCALE
-        return np.array([high, round(high * (fy / height) / (fx / width))], np.int64)
+        ratio = (camera["intrinsics"][1][1] / height) / (camera["intrinsics"][0][0] / width)
+        if self._drawn is not None:
+            high, wide = (int(side) for side in self._drawn.split("x"))
+            if abs(wide / high / ratio - 1) < _SAME_RATIO:
+                return np.array([high, wide], np.int64)
+        return np.array([height * _ASPECT_SCALE, round(height * _ASPECT_SCALE * ratio)], np.int64)
 
     def motion(self, before: int, after: int) -> npt.NDArray[np.float32]:
         """Return the motion of the ego poses."""

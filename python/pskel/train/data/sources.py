@@ -52,8 +52,8 @@ def open_data(
 ) -> Data:
     """Open everything that is named; logs are recorded first if there is a cache.
 
-    A text of ``specs`` is a recorded clip, a folder of them, an export in the layout webdataset, or a log. Raises ``DataError`` for
-    maps of another recipe, and ``ConfigError`` for options that do not fit.
+    A text of ``specs`` is a recorded clip, a folder of them, an export in the layout webdataset, or a log. Raises
+    ``DataError`` for maps of another recipe, and ``ConfigError`` for options that do not fit.
     """
     if not specs:
         raise ConfigError("expected --data: a log, an export of pskel export, or recorded clips")
@@ -72,9 +72,7 @@ def open_data(
             if (text := difference(wanted, found)) is not None:
                 raise DataError(f"{text}: {drive.source}")
             if found["drawn"] is None:
-                say(
-                    f"{drive.source}: maps were rendered at the cameras' own sizes, which are not compared with the recipe"
-                )
+                say(f"{drive.source}: rendered at the cameras' own sizes, which are not compared with the recipe")
             drive.recipe = wanted
     assert wanted is not None
     return _chosen(by_spec, options, wanted, say)
@@ -275,9 +273,7 @@ def _chosen(by_spec: Sequence[Sequence[Drive]], options: DataOptions, recipe: di
     for each in train:
         if not len(each):
             found = sum(len(run) for run in each.runs)
-            say(
-                f"{each.drive.source}: left out, {found} frames are too few for clips of {options.frames} with a step of {each.step}"
-            )
+            say(f"{each.drive.source}: left out, {found} frames are too few for clips of {options.frames}")
     if not any(len(each) for each in train):
         least = (options.frames - 1) * max((each.step for each in train), default=1) + 1
         counts = [sum(len(run) for run in each.runs) for each in train]

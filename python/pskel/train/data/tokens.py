@@ -24,8 +24,8 @@ _LOCATOR = re.compile(r"(?:(?P<format>[a-z0-9]+):)?(?P<path>[^@#]+)(?:@(?P<versi
 def tokens_of(text: str, log: str, times_us: Sequence[int], cameras: Sequence[str]) -> list[dict[str, str]]:
     """Return the tokens of the images of each key frame by camera.
 
-    ``text`` is what ``pskel.Log`` opens, ``log`` the name of the log. An image belongs to the key frame that is nearest in time.
-    Raises ``DataError`` for a log of another format than nuScenes, nuPlan and the synthetic town.
+    ``text`` is what ``pskel.Log`` opens, ``log`` the name of the log. An image belongs to the key frame that is nearest
+    in time. Raises ``DataError`` for a log of another format than nuScenes, nuPlan and the synthetic town.
     """
     if text.startswith("town:"):
         return [{camera: f"{frame:06d}_{camera}" for camera in cameras} for frame in range(len(times_us))]
@@ -81,8 +81,8 @@ def _nuscenes_tokens(tables: Path) -> dict[str, list[dict[str, str]]]:
 
 def _nuplan(path: Path, times_us: Sequence[int], cameras: Sequence[str]) -> list[dict[str, str]]:
     query = (
-        "SELECT image.token, image.timestamp, camera.channel FROM image JOIN camera ON camera.token = image.camera_token "
-        "ORDER BY image.timestamp, image.token"
+        "SELECT image.token, image.timestamp, camera.channel FROM image "
+        "JOIN camera ON camera.token = image.camera_token ORDER BY image.timestamp, image.token"
     )
     try:
         with sqlite3.connect(f"file:{path}?mode=ro", uri=True) as database:

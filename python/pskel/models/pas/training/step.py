@@ -7,17 +7,28 @@ frame, flow matching (arXiv:2403.03206), dropouts of conditions, and errors in t
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
 
 from ..._condition import DROPPED_MOTION, NO_COLOR
 from ..ids import MOTION_IDS
-from .depth import DepthMode, depth_channels
+from .depth import DEPTH_MODES, DepthMode, depth_channels
 from .draws import Draws
 
-__all__ = ["Batch", "Inputs", "StepOptions", "Targets", "loss_of", "noisy_inputs", "sampled_latents", "sigmas_of"]
+__all__ = [
+    "Batch",
+    "Inputs",
+    "StepOptions",
+    "Targets",
+    "Texts",
+    "conditioned",
+    "loss_of",
+    "noisy_inputs",
+    "shifted",
+    "sigmas_of",
+]
 
 _LEVELS = 1000
 _SHIFT = 3.0
@@ -25,9 +36,9 @@ _SHIFT = 3.0
 
 @dataclass(frozen=True)
 class StepOptions:
-    """Probabilities of the dropouts, and deviations of the errors; the defaults are the authors'.
+    """Probabilities of the dropouts, deviations of the errors, and conditions; the defaults are the authors'.
 
-    Raises ``ValueError`` for a probability that is not between 0 and 1, and for a negative deviation.
+    Raises ``ValueError`` for a probability that is not between 0 and 1, for a negative deviation, and for another depth.
     """
 
     drop_text: float = 0.2
@@ -41,13 +52,19 @@ class StepOptions:
     input_scale_std: float = 0.01
     input_offset_std: float = 0.01
     """Errors of the noisy latents, of clips with attention across frames."""
+    depth: DepthMode = "continuous"
+    """``continuous``, or ``both``, with sines and cosines."""
+    with_points: bool = True
+    """Whether color and depth are conditions; without them, their adapter is not used."""
 
     def __post_init__(self) -> None:
         for field in fields(self):
             value = getattr(self, field.name)
             most = float("inf") if field.name.endswith("_std") else 1.0
-            if not 0.0 <= value <= most:
+            if isinstance(field.default, float) and not 0.0 <= value <= most:
                 raise ValueError(f"expected {field.name} of 0 to {most:g}, found {value}")
+        if self.depth not in DEPTH_MODES:
+            raise ValueError(f"expected depth of {' or '.join(DEPTH_MODES)}, found {self.depth!r}")
 
 
 class Batch(NamedTuple):
@@ -64,25 +81,33 @@ class Batch(NamedTuple):
     bin_count: int
     ids: Tensor
     """``added_time_ids``, ``float32 [B, T, V, 13]``."""
-    text: Tensor
-    """Tokens of N texts, ``[N, S, D]``; text 0 is empty."""
-    pooled: Tensor
-    """``[N, P]``."""
-    caption: Tensor
-    """Number of the text of each image, ``int64 [B, T, V]``."""
     mask: Tensor
     """Cameras that see each other, ``bool [B, V, V]``."""
+    texts: tuple[str, ...]
+    """Different captions, of which the first is empty."""
+    caption: Tensor
+    """Number of the text of each image, ``int64 [B, T, V]``."""
 
     def to(self, device: torch.device | str) -> Batch:
         """Copy to a device."""
-        return Batch(*(value.to(device) if isinstance(value, Tensor) else value for value in self))
+        values: list[Any] = [value.to(device) if isinstance(value, Tensor) else value for value in self]
+        return Batch(*values)
+
+
+class Texts(NamedTuple):
+    """Encoded ``Batch.texts``."""
+
+    tokens: Tensor
+    """``[N, S, D]``."""
+    pooled: Tensor
+    """``[N, P]``."""
 
 
 class Inputs:
     """Arguments of the network, see ``Network.forward`` and ``Network.encode_conditions``.
 
-    A class of its own, not a tuple of tensors: FSDP rounds tensors among the arguments to half precision, but timesteps and
-    ``ids`` need more digits.
+    A class of its own, not a tuple of tensors: FSDP may round tensors among the arguments to half precision, but timesteps
+    and ``ids`` need more digits.
     """
 
     def __init__(
@@ -120,55 +145,57 @@ class Targets(NamedTuple):
     """Noise level of each frame, ``[B, T]``."""
 
 
-def sampled_latents(mean: Tensor, std: Tensor, noise: Tensor, shift: float, scale: float) -> Tensor:
-    """Sample the posterior of the autoencoder, of one shape; returns ``(z - shift) * scale``."""
-    return (mean + std * noise - shift) * scale
-
-
 def sigmas_of(level: Tensor) -> Tensor:
     """Return the noise levels of normal numbers, of any shape: logit-normal, on the table of 1000 steps with shift 3."""
     index = (level.sigmoid() * _LEVELS).floor().clamp(max=_LEVELS - 1)
     steps = torch.arange(_LEVELS, 0, -1, dtype=torch.float32, device=level.device) / _LEVELS
-    table = _SHIFT * steps / (1.0 + (_SHIFT - 1.0) * steps)
-    return table[index.long()]
+    return shifted(steps)[index.long()]
+
+
+def shifted(time: Tensor) -> Tensor:
+    """Return the noise levels of evenly spaced times, 1 for noise to 0 for images."""
+    return _SHIFT * time / (1.0 + (_SHIFT - 1.0) * time)
 
 
 def noisy_inputs(
     batch: Batch,
+    texts: Texts,
     latents: Tensor,
     draws: Draws,
     options: StepOptions = StepOptions(),
-    *,
-    depth: DepthMode = "continuous",
-    with_points: bool = True,
 ) -> tuple[Inputs, Targets]:
-    """Add noise to latents ``float32 [B, T, V, C, h, w]``, and drop conditions.
-
-    ``with_points=False`` leaves out color and depth, for a network without their adapter.
-    """
+    """Add noise to latents ``float32 [B, T, V, C, h, w]``, and drop conditions."""
     sigma = sigmas_of(draws.level)
     single_frames = draws.single_frames < options.single_frames
     sample = _per_frame(sigma) * draws.noise + (1.0 - _per_frame(sigma)) * latents
     sample = torch.where(_per_clip(single_frames, 6), sample, _with_errors(sample, draws, options))
+    timestep = (sigma * _LEVELS).unsqueeze(-1).expand(sample.shape[:3])
+    return conditioned(batch, texts, sample, timestep, draws, options), Targets(latents, sample, sigma)
+
+
+def conditioned(
+    batch: Batch,
+    texts: Texts,
+    sample: Tensor,
+    timestep: Tensor,
+    draws: Draws,
+    options: StepOptions,
+) -> Inputs:
+    """Join noisy latents ``[B, T, V, C, h, w]``, timesteps ``[B, T, V]``, and the conditions that are not dropped."""
     caption = torch.where(_per_clip(_kept(draws.text, options.drop_text), 3), batch.caption, 0)
-    inputs = Inputs(
+    boxes = _map(batch.boxes, _kept(draws.boxes, options.drop_boxes))
+    road = _map(batch.map, _kept(draws.map, options.drop_map))
+    return Inputs(
         sample=sample,
-        timestep=(sigma * _LEVELS).unsqueeze(-1).expand(sample.shape[:3]),
-        text=batch.text[caption],
-        pooled=batch.pooled[caption],
-        layout=torch.cat(
-            [
-                _map(batch.boxes, _kept(draws.boxes, options.drop_boxes)),
-                _map(batch.map, _kept(draws.map, options.drop_map)),
-            ],
-            dim=3,
-        ),
-        points=_points(batch, draws, options, depth) if with_points else None,
+        timestep=timestep,
+        text=texts.tokens[caption],
+        pooled=texts.pooled[caption],
+        layout=torch.cat([boxes, road], dim=3),
+        points=_points(batch, draws, options) if options.with_points else None,
         ids=_ids(batch.ids, _kept(draws.action, options.drop_action)),
         mask=batch.mask,
-        single_frames=single_frames,
+        single_frames=draws.single_frames < options.single_frames,
     )
-    return inputs, Targets(latents, sample, sigma)
 
 
 def loss_of(velocity: Tensor, targets: Targets) -> Tensor:
@@ -192,12 +219,12 @@ def _map(image: Tensor, kept: Tensor) -> Tensor:
     return torch.where(_per_clip(kept, 6), image.float() / 255.0, NO_COLOR)
 
 
-def _points(batch: Batch, draws: Draws, options: StepOptions, mode: DepthMode) -> Tensor:
+def _points(batch: Batch, draws: Draws, options: StepOptions) -> Tensor:
     """Color and depth, ``float32 [B, T, V, 20, H, W]``."""
     # Unlike the other conditions, these are dropped where the number is small.
     color_kept, depth_kept = draws.color >= options.drop_color, draws.depth >= options.drop_depth
     bins = torch.where(_per_clip(depth_kept, 5), batch.depth_bins, 0)
-    return torch.cat([_map(batch.color, color_kept), depth_channels(bins, batch.bin_count, mode)], dim=3)
+    return torch.cat([_map(batch.color, color_kept), depth_channels(bins, batch.bin_count, options.depth)], dim=3)
 
 
 def _ids(ids: Tensor, kept: Tensor) -> Tensor:
