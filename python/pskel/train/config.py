@@ -55,7 +55,7 @@ class TrainOptions:
     shard: str = "none"
     """``none`` (every process has all weights), or ``fsdp``."""
     optimizer: str = "adamw"
-    """``adamw``, or ``adamw8bit``: moments of 8 bits, by torchao."""
+    """``adamw``, or ``adamw8bit``: moments of 8 bits."""
 
     def __post_init__(self) -> None:
         _expect_at_least(self, "train", 1, "steps", "batch", "accumulate", "checkpoint")

@@ -8,9 +8,14 @@ __all__ = ["CheckpointError", "ConfigError", "DataError", "LossError", "TrainErr
 class TrainError(Exception):
     """The training cannot begin or go on."""
 
+    of_all = False
+    """Whether all processes of the training raise it: the main process alone says so."""
+
 
 class ConfigError(TrainError):
     """The configuration is invalid."""
+
+    of_all = True
 
 
 class DataError(TrainError):
@@ -23,6 +28,8 @@ class CheckpointError(TrainError):
 
 class LossError(TrainError):
     """A loss or a gradient is not finite."""
+
+    of_all = True
 
 
 def first_line(error: BaseException) -> str:

@@ -58,16 +58,11 @@ def train(config: Config, data: Sequence[str], out: Path, *, resume: bool = Fals
 
 def _claim(out: Path, processes: Processes, *, resume: bool) -> BinaryIO | None:
     """Claim the output folder in the main process; a failure is that of all."""
-    lock, failure = None, None
-    if processes.is_main:
-        try:
+    lock = None
+    with processes.agreed():
+        if processes.is_main:
             lock = claim_folder(out, resume=resume)
             remove_partial(out)
-        except TrainError as error:
-            failure = str(error)
-    failure = processes.share_object(failure)
-    if failure is not None:
-        raise TrainError(failure)
     return lock
 
 
@@ -84,8 +79,9 @@ class _Run:
         if processes.device.type == "cpu":
             progress.say("no GPU found: the training runs on the CPU, which takes 20 to 100 times as long")
         self.data = open_data(specs, config.data, recipe_of(config), processes, progress.say)
-        torch.manual_seed(config.train.seed)
-        self.task: Task = create_task(config)
+        with processes.agreed():
+            torch.manual_seed(config.train.seed)
+            self.task: Task = create_task(config)
         self.about = self._about()
         state = self._start(resume=resume)
         # Workers are forked before modules are moved to the device, and before this process renders anything.
@@ -120,8 +116,9 @@ class _Run:
         modules = {player.name: player.module for player in self.task.players}
         last = self.processes.share_object(last_checkpoint(self.out)) if resume else None
         if last is not None:
-            self.step = compare(self.about, last)
-            state = read_state(last, self.processes, sharded=train.shard == "fsdp")
+            with self.processes.agreed():
+                self.step = compare(self.about, last)
+                state = read_state(last, self.processes, sharded=train.shard == "fsdp")
             self.task.load_state(state["task"])
             load_modules(modules, state, buffers_only=train.shard == "fsdp")
             self.progress.say(f"resumed from {last.name}")

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from contextlib import AbstractContextManager, nullcontext
 from typing import Any
 
 import torch
 from torch import Tensor, nn
 
 from .config import TrainOptions
-from .errors import ConfigError, TrainError
+from ..models._adamw8bit import AdamW8bit
+from .errors import ConfigError
 from .parallel import full, local
 
 __all__ = [
@@ -22,7 +22,6 @@ __all__ = [
     "named_groups",
     "rate",
     "set_rates",
-    "step_optimizer",
 ]
 
 _GROUP_KEYS = ("params", "lr", "betas", "eps", "weight_decay", "schedule")
@@ -66,7 +65,7 @@ def named_groups(module: nn.Module, groups: Sequence[Mapping[str, Any]], player:
 def create_optimizer(
     module: nn.Module, groups: Sequence[Mapping[str, Any]], options: TrainOptions
 ) -> torch.optim.Optimizer:
-    """Return AdamW over groups of ``named_groups``. Raises ``TrainError`` if torchao is needed and missing."""
+    """Return AdamW over groups of ``named_groups``."""
     parameters = dict(module.named_parameters())
     filled = [
         {
@@ -79,14 +78,8 @@ def create_optimizer(
         }
         for group in groups
     ]
-    if options.optimizer == "adamw":
-        optimizer: torch.optim.Optimizer = torch.optim.AdamW(filled)
-    else:
-        try:
-            from torchao.optim import AdamW8bit
-        except ImportError:
-            raise TrainError('train.optimizer "adamw8bit" needs torchao: pip install torchao') from None
-        optimizer = AdamW8bit(filled)
+    kind: type[torch.optim.Optimizer] = torch.optim.AdamW if options.optimizer == "adamw" else AdamW8bit
+    optimizer = kind(filled)  # type: ignore[call-arg]
     for group, given in zip(optimizer.param_groups, groups):
         group["base_lr"] = float(given.get("lr", options.learning_rate))
         group["is_constant"] = given.get("schedule") == "constant"
@@ -113,15 +106,6 @@ def clip_gradients(module: nn.Module, most: float) -> float:
     return float(full(norm))
 
 
-def step_optimizer(optimizer: torch.optim.Optimizer, device: torch.device) -> None:
-    """Take a step. torchao compiles its step, which only GPUs need."""
-    eager: AbstractContextManager[Any] = nullcontext()
-    if device.type == "cpu" and type(optimizer) is not torch.optim.AdamW:
-        eager = torch.compiler.set_stance("force_eager")
-    with eager:
-        optimizer.step()
-
-
 def moments(optimizer: torch.optim.Optimizer) -> list[dict[str, Any]]:
     """Return the state of each parameter, in the order of the groups; of sharded ones this process's part."""
     parameters = [parameter for group in optimizer.param_groups for parameter in group["params"]]
@@ -145,7 +129,8 @@ def _placed(value: Any, key: str, parameter: Tensor, device: torch.device) -> An
         return value
     if key != "step":  # AdamW counts steps on the CPU
         value = value.to(device)
-    if hasattr(parameter, "to_local") and value.ndim:
+    # Moments of 8 bits are those of this process's part; moments in full have the form of the parameter.
+    if hasattr(parameter, "to_local") and value.shape == local(parameter).shape:
         from torch.distributed.tensor import DTensor
 
         return DTensor.from_local(

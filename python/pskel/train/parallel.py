@@ -68,6 +68,19 @@ class Processes:
             dist.all_gather_object(values, value)
         return values
 
+    @contextmanager
+    def agreed(self) -> Iterator[None]:
+        """Raise the error of one process in all of them. The body must not communicate."""
+        failure: TrainError | None = None
+        try:
+            yield
+        except TrainError as error:
+            failure = error
+        failures = [error for error in self.gather(failure) if error is not None]
+        if failures:
+            failures[0].of_all = True
+            raise failures[0]
+
     def share(self, tensors: Iterable[Tensor]) -> None:
         """Overwrite tensors with those of the main process."""
         if self.count > 1:

@@ -12,7 +12,7 @@ from torch import Tensor, nn
 
 from .config import TrainOptions
 from .ema import Ema
-from .optimizer import clip_gradients, create_optimizer, named_groups, set_rates, step_optimizer
+from .optimizer import clip_gradients, create_optimizer, named_groups, set_rates
 from .parallel import Processes, lost_processes, reshard, shard_module, without_sync, wrap_step
 from .task import Player, Task
 
@@ -84,6 +84,7 @@ class Players:
         """Add up the gradients of all players over the batches of a step; returns their losses in this process."""
         found: dict[str, list[LossOf]] = {}
         for number, batch in enumerate(batches):
+            batch = _moved(batch, self._processes.device)
             torch.manual_seed(_mixed(self._options.seed, step, self._processes.rank * len(batches) + number))
             for entry in self.active(step):
                 with self._alone(entry):
@@ -129,7 +130,7 @@ class Players:
         rates = {}
         for entry in self.active(step):
             rates[entry.player.name] = set_rates(entry.optimizer, self._options, step)
-            step_optimizer(entry.optimizer, self._processes.device)
+            entry.optimizer.step()
             entry.optimizer.zero_grad(set_to_none=True)
         if self.ema is not None:
             self.ema.update(step)
@@ -150,6 +151,20 @@ class Players:
             for entry in self.entries:
                 reshard(entry.module)
                 entry.module.train()
+
+
+def _moved(value: Any, device: torch.device) -> Any:
+    """Return tensors in tuples, lists and dictionaries on a device."""
+    if isinstance(value, Tensor):
+        return value.to(device, non_blocking=True)
+    if isinstance(value, tuple):
+        parts = [_moved(part, device) for part in value]
+        return type(value)(*parts) if hasattr(value, "_fields") else tuple(parts)
+    if isinstance(value, list):
+        return [_moved(part, device) for part in value]
+    if isinstance(value, dict):
+        return {key: _moved(part, device) for key, part in value.items()}
+    return value
 
 
 def _mean(losses: Sequence[LossOf]) -> LossOf:

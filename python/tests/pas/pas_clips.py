@@ -10,19 +10,19 @@ from pskel.train.clip import Clip
 CAMERAS = ("CAM_FRONT", "CAM_FRONT_RIGHT", "CAM_FRONT_LEFT")
 SIZE = (32, 64)
 SIZES: dict[str, Any] = {
-    "num_layers": 3,
+    "num_layers": 2,
     "num_attention_heads": 4,
     "attention_head_dim": 32,
     "dual_attention_layers": [0],
-    "crossview_block_layers": [1],
-    "temporal_block_layers": [2],
+    "crossview_block_layers": [0],
+    "temporal_block_layers": [1],
     "sample_size": 16,
     "pos_embed_max_size": 24,
     "joint_attention_dim": 40,
     "caption_projection_dim": 128,
     "pooled_projection_dim": 24,
-    "condition_image_adapter_config": {"in_channels": 6, "channels": [128, 128], "is_downblocks": [True, False]},
-    "condition_pc_adapter_config": {"in_channels": 20, "channels": [128, 128], "is_downblocks": [True, False]},
+    "condition_image_adapter_config": {"in_channels": 6, "channels": [128], "is_downblocks": [True]},
+    "condition_pc_adapter_config": {"in_channels": 20, "channels": [128], "is_downblocks": [True]},
 }
 """Dimensions that fit the folder of ``pas_base.write_base``."""
 

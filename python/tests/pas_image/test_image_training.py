@@ -2,7 +2,6 @@
 
 import json
 import math
-import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -17,7 +16,6 @@ pytest.importorskip("transformers")
 from image_frames import HELLO, arguments  # noqa: E402
 from image_rollout import roll_out, run_loop, through  # noqa: E402
 from pskel.models.pas_image import Denoiser, FrameCondition, Models, Rig  # noqa: E402
-from pskel.models.pas_image.config import TINY  # noqa: E402
 from pskel.models.pas_image.presets import PRESETS  # noqa: E402
 from pskel.models.pas_image.task import ImageTask, recipe, task  # noqa: E402
 from pskel.train.config import TrainOptions  # noqa: E402
@@ -302,7 +300,3 @@ def test_the_loop_of_the_package_gives_the_same(denoiser: Denoiser) -> None:
     found = run_loop(denoiser, first, condition, count, STEPS, GUIDANCE)
     for ours, packaged in zip(expected, found):
         np.testing.assert_array_equal(ours, packaged)
-
-
-def test_messages_are_one_line() -> None:
-    assert re.fullmatch(r"\{.*\}", TINY.to_json())

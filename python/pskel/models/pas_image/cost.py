@@ -7,6 +7,7 @@ import sys
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Any
 
 import torch
@@ -64,6 +65,7 @@ class Cost:
         return self.state_bytes - (_STATE - _STATE_8BIT) * self.trained
 
 
+@lru_cache
 def cost(trained: Trained, rank: int, config: Config = Config()) -> Cost:
     """Count parameters, activations and operations on PyTorch's ``meta`` device, without memory for them."""
     config = replace(config, trained=trained, lora_rank=rank)

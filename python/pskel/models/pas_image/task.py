@@ -14,6 +14,7 @@ from ...train.clip import Clip
 from ...train.config import TrainOptions
 from ...train.errors import DataError
 from ...train.task import Player
+from .._command import silence
 from ..pas.training.draws import generator_of
 from ..pas.vae import ImageCodec
 from .base import base_config, expect_base
@@ -21,7 +22,7 @@ from .checkpoint import Training, create, header, saved_tensors
 from .conditions import Batch, collate
 from .config import HISTORY_LEVEL, LATENT_SCALE, Config
 from .presets import PRESETS
-from .schedule import Schedule, inference_timesteps
+from .schedule import TIMESTEPS, Schedule, inference_timesteps
 from .step import DROPPABLE, Draws, StepOptions, conditioned, errors_of, loss_of, noisy_inputs
 from .text import TextEncoder
 
@@ -56,6 +57,14 @@ class TaskOptions:
     guidance: float = 2.0
     history_level: int = HISTORY_LEVEL
     """Inference steps, guidance and noise of the previous frame in validations."""
+
+    def __post_init__(self) -> None:
+        recipe({"recipe": self.recipe})
+        inference_timesteps(self.infer_steps)
+        if self.image_batch < 1:
+            raise ValueError(f"expected image_batch of at least 1, found {self.image_batch}")
+        if not 0 <= self.history_level < TIMESTEPS:
+            raise ValueError(f"expected history_level of 0 to {TIMESTEPS - 1}, found {self.history_level}")
 
 
 class Drawn(NamedTuple):
@@ -92,10 +101,7 @@ class ImageTask:
     """Trains the network on clips; autoencoder and text encoder are frozen, and on the device from the first loss on."""
 
     def __init__(self, options: TaskOptions, step: StepOptions = StepOptions()) -> None:
-        recipe(vars(options))
-        inference_timesteps(options.infer_steps)
-        if options.image_batch < 1:
-            raise ValueError(f"expected image_batch of at least 1, found {options.image_batch}")
+        silence()
         self.options, self.step = options, step
         folder = expect_base(options.base, with_unet=True)
         self.config = _config(base_config(folder), options)

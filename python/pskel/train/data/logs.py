@@ -96,7 +96,7 @@ class LogDrive(Drive):
         self.text = self.source = text
         self.recipe = recipe
         self._captions = captions
-        log = open_log(text)
+        log = self.opened_log()
         self.log = log.name
         if not len(log):
             raise DataError(f"expected a log with frames, found none: {text}")

@@ -12,7 +12,7 @@ import os
 import zlib
 from collections import OrderedDict
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -27,7 +27,7 @@ from .recorded import Recorder
 if TYPE_CHECKING:
     import pskel
 
-__all__ = ["RenderedDrive", "Variant", "record"]
+__all__ = ["RenderedDrive", "RenderedSource", "Variant", "build_skeleton", "record"]
 
 SEED = 1
 """Seed of moved poses and degraded assets. It is not the training's: trainings share recordings."""
@@ -48,6 +48,11 @@ class Variant:
     assets: int | None = None
     """Seed for degrading assets."""
 
+    @property
+    def label(self) -> str:
+        """Number, with the letter a if assets are degraded."""
+        return f"{self.number}{'' if self.assets is None else 'a'}"
+
     @classmethod
     def create(cls, log: str, number: int, *, town: bool, augment: bool) -> Variant:
         """Return a variant of a log. Only towns are moved: recorded images exist at the recorded poses alone."""
@@ -58,27 +63,39 @@ class Variant:
         return cls(number, left_m, yaw_rad, SEED ^ number if augment else None)
 
 
-_RECORDED = Variant()
+@dataclass(frozen=True)
+class RenderedSource:
+    """A log, and how it is rendered."""
+
+    text: str
+    """What ``pskel.Log`` opens."""
+    skeleton: Path
+    recipe: Mapping[str, Any]
+    change: Variant = field(default_factory=Variant)
+    captions: Captions = field(default_factory=dict)
+    rasterizer: str = "auto"
+
+    def key(self) -> str:
+        """Return a text that is the same for everything that is rendered alike."""
+        parts = (self.text, str(self.skeleton), self.recipe, asdict(self.change), self.rasterizer)
+        return json.dumps(parts, sort_keys=True)
+
+    def identity(self) -> str:
+        """Return a digest of everything that a recording depends on, but the pixels of recorded images."""
+        skeleton = self.skeleton / "skeleton.json"
+        content = skeleton.read_bytes() if skeleton.is_file() else b""
+        text = json.dumps((self.recipe, asdict(self.change), self.captions), sort_keys=True)
+        return hashlib.sha256(text.encode() + content).hexdigest()[:32]
 
 
 class RenderedDrive(LogDrive):
     """A log that is rendered whenever its frames are read."""
 
-    def __init__(
-        self,
-        text: str,
-        skeleton: str | os.PathLike[str],
-        recipe: Mapping[str, Any],
-        change: Variant = _RECORDED,
-        *,
-        captions: Captions | None = None,
-        rasterizer: str = "auto",
-    ) -> None:
-        super().__init__(text, recipe, captions)
-        self.skeleton = Path(skeleton)
-        self.change = change
-        self.variant = change.number
-        self.rasterizer = rasterizer
+    def __init__(self, source: RenderedSource) -> None:
+        super().__init__(source.text, source.recipe, source.captions)
+        self.rendered = source
+        self.change = source.change
+        self.variant = source.change.number
 
     def scene(self, log: pskel.Log, frame: int) -> pskel.Scene:
         """Return the scene at a key frame, with its ego moved."""
@@ -89,10 +106,10 @@ class RenderedDrive(LogDrive):
 
     def maps(self, scene: pskel.Scene, frame: int) -> LogMaps:
         """Render the maps of a scene; the map of a log without an HD map is black."""
-        key = (self.text, self.variant)
+        key = self.rendered.key()
         opened = _renderers.pop(key, None)
         if opened is None or opened.process != os.getpid():
-            opened = Opened(os.getpid(), _Renderer(self))
+            opened = Opened(os.getpid(), _Renderer(self.rendered, self.log))
         while len(_renderers) >= _OPEN_RENDERERS:
             other = _renderers.popitem(last=False)[1]
             if other.process == os.getpid():
@@ -101,44 +118,37 @@ class RenderedDrive(LogDrive):
         renderer: _Renderer = opened.value
         return renderer.render(scene)
 
-    def identity(self) -> str:
-        """Return a digest of everything that a recording depends on, but the pixels of recorded images."""
-        skeleton = self.skeleton / "skeleton.json"
-        content = skeleton.read_bytes() if skeleton.is_file() else b""
-        change = (self.log, self.change.left_m, self.change.yaw_rad, self.change.assets)
-        assert self.times_us is not None
-        text = json.dumps([change, self.recipe, list(self.names), self.times_us.tolist()], sort_keys=True)
-        return hashlib.sha256(text.encode() + content).hexdigest()[:32]
 
-
-_renderers: OrderedDict[tuple[str, int], Opened] = OrderedDict()
+_renderers: OrderedDict[str, Opened] = OrderedDict()
+"""By everything that a renderer depends on."""
 
 
 class _Renderer:
     """A renderer of a drive, which learns from the first frame whether the log has an HD map."""
 
-    def __init__(self, drive: RenderedDrive) -> None:
-        self._drive = drive
+    def __init__(self, source: RenderedSource, log: str) -> None:
+        self._source = source
+        self._log = log
         self._renderer = self._open(["color", "depth", "boxes", "map"])
 
     def _open(self, maps: list[str]) -> pskel.Renderer:
         import pskel
 
-        drive = self._drive
+        source = self._source
         try:
             return pskel.Renderer(
-                pskel.Skeleton(drive.skeleton),
+                pskel.Skeleton(source.skeleton),
                 maps=maps,
-                log=drive.log,
-                augment=drive.change.assets,
-                rasterizer=drive.rasterizer,
-                **renderer_keywords(drive.recipe),
+                log=self._log,
+                augment=source.change.assets,
+                rasterizer=source.rasterizer,
+                **renderer_keywords(source.recipe),
             )
         except (pskel.Error, ValueError) as error:
             raise self._failed(error) from error
 
     def _failed(self, error: Exception) -> DataError:
-        return DataError(f"the log cannot be rendered: {first_line(error)}: {self._drive.text}")
+        return DataError(f"the log cannot be rendered: {first_line(error)}: {self._source.text}")
 
     def render(self, scene: pskel.Scene) -> LogMaps:
         import pskel
@@ -153,18 +163,29 @@ class _Renderer:
             self._renderer.close()
             self._renderer = self._open(["color", "depth", "boxes"])
             return self.render(scene)
-        bins = depth_bins(maps["depth"], self._drive.recipe["bins"])
+        bins = depth_bins(maps["depth"], self._source.recipe["bins"])
         return LogMaps(maps["color"], bins, maps["boxes"], maps.get("map", np.zeros_like(maps["color"])))
 
     def close(self) -> None:
         self._renderer.close()
 
 
-def record(drive: RenderedDrive, path: Path) -> None:
-    """Record a drive. Raises ``DataError`` if it cannot be rendered or written."""
+def build_skeleton(text: str, folder: str) -> None:
+    """Build the skeleton of a log. Raises ``DataError``."""
+    import pskel
+
+    try:
+        pskel.build(pskel.Log(text), folder)
+    except (pskel.Error, OSError, ValueError) as error:
+        raise DataError(f"the skeleton cannot be built: {first_line(error)}: {text}") from error
+
+
+def record(source: RenderedSource, path: Path) -> None:
+    """Record a log. Raises ``DataError`` if it cannot be rendered or written."""
+    drive = RenderedDrive(source)
     views = range(len(drive.names))
     frames = [frame for run in drive.runs for frame in run]
-    identity = drive.identity()
+    identity = source.identity()
     about = {"log": drive.log, "source": identity, "hz": drive.hz, "cameras": list(drive.names), "recipe": drive.recipe}
     clip = {
         "variant": drive.variant,

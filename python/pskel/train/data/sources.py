@@ -19,7 +19,7 @@ from .logs import is_town
 from .pas_cache import PasCacheDrive, recipe_of_cache
 from .recipe import complete, difference
 from .recorded import RecordedDrive, recordings_in
-from .rendered import RenderedDrive, Variant, record
+from .rendered import RenderedDrive, RenderedSource, Variant, build_skeleton, record
 from .shards import drives_of_shards
 
 __all__ = ["Data", "open_data"]
@@ -57,25 +57,36 @@ def open_data(
     """
     if not specs:
         raise ConfigError("expected --data: a log, an export of pskel export, or recorded clips")
-    wanted = None if recipe is None else complete(recipe)
-    captions = read_captions(options.captions)
-    by_spec: list[list[Drive]] = []
-    for spec in specs:
-        drives = _stored(spec)
+    with processes.agreed():
+        wanted = None if recipe is None else complete(recipe)
+        captions = read_captions(options.captions)
+        stored = [_stored(spec) for spec in specs]
+    by_spec: list[Sequence[Drive]] = []
+    for spec, drives in zip(specs, stored):
         if drives is None:
-            wanted = wanted or _recipe_of_logs(spec, options)
+            with processes.agreed():
+                wanted = wanted or _recipe_of_logs(spec, options)
             drives = _logs(spec, options, wanted, captions, processes, say)
         by_spec.append(drives)
-        for drive in drives:
-            found = drive.recipe
-            wanted = wanted or complete({key: value for key, value in found.items() if value is not None})
-            if (text := difference(wanted, found)) is not None:
-                raise DataError(f"{text}: {drive.source}")
-            if found["drawn"] is None:
-                say(f"{drive.source}: rendered at the cameras' own sizes, which are not compared with the recipe")
-            drive.recipe = wanted
+        with processes.agreed():
+            wanted = _same_recipe(drives, wanted, say)
     assert wanted is not None
-    return _chosen(by_spec, options, wanted, say)
+    with processes.agreed():
+        return _chosen(by_spec, options, wanted, say)
+
+
+def _same_recipe(drives: Sequence[Drive], wanted: dict[str, Any] | None, say: Say) -> dict[str, Any]:
+    """Check that drives are of a recipe, by default that of the first; returns it."""
+    for drive in drives:
+        found = drive.recipe
+        wanted = wanted or complete({key: value for key, value in found.items() if value is not None})
+        if (text := difference(wanted, found)) is not None:
+            raise DataError(f"{text}: {drive.source}")
+        if found["drawn"] is None:
+            say(f"{drive.source}: rendered at the cameras' own sizes, which are not compared with the recipe")
+        drive.recipe = wanted
+    assert wanted is not None
+    return wanted
 
 
 def _stored(spec: str) -> list[Drive] | None:
@@ -111,44 +122,55 @@ def _logs(
     spec: str, options: DataOptions, recipe: dict[str, Any], captions: Captions, processes: Processes, say: Say
 ) -> list[Drive]:
     """Open logs. Skeletons are built and clips are recorded in rounds: each process does one, then all go on."""
-    listed = list(_listed(spec))
-    if options.pas_cache is not None:
-        folder = Path(options.pas_cache)
-        if (text := difference(recipe, recipe_of_cache(folder))) is not None:
-            raise DataError(f"{text}: {folder}")
-        return [PasCacheDrive(log.text, folder, recipe, captions=captions) for log in listed]
-    skeletons = options.skeletons or (None if options.cache is None else f"{options.cache}/skeletons")
-    if skeletons is None:
-        raise ConfigError(f"expected data.skeletons or data.cache, folders for rendering logs, found none: {spec}")
+    with processes.agreed():
+        listed = list(_listed(spec))
+        if options.pas_cache is not None:
+            folder = Path(options.pas_cache)
+            if (text := difference(recipe, recipe_of_cache(folder))) is not None:
+                raise DataError(f"{text}: {folder}")
+            return [PasCacheDrive(log.text, folder, recipe, captions=captions) for log in listed]
+        skeletons = options.skeletons or (None if options.cache is None else f"{options.cache}/skeletons")
+        if skeletons is None:
+            raise ConfigError(f"expected data.skeletons or data.cache, folders for rendering logs, found none: {spec}")
     folder = Path(skeletons)
     builds = [log for log in listed if not (folder / log.name / "skeleton.json").is_file()]
     texts = [f"building the skeleton of {log.name}" for log in builds]
-    _in_rounds(processes, [(_build, (log.text, str(folder / log.name))) for log in builds], texts, say)
-
-    def drive(log: _Listed, number: int) -> RenderedDrive:
-        change = Variant.create(log.name, number, town=is_town(log.text), augment=options.augment)
-        return RenderedDrive(
-            log.text, folder / log.name, recipe, change, captions=captions, rasterizer=options.rasterizer
+    _in_rounds(processes, [(build_skeleton, (log.text, str(folder / log.name))) for log in builds], texts, say)
+    sources = [
+        RenderedSource(
+            log.text,
+            folder / log.name,
+            recipe,
+            Variant.create(log.name, number, town=is_town(log.text), augment=options.augment),
+            {name: caption for name, caption in captions.items() if name == log.name},
+            options.rasterizer,
         )
+        for log in listed
+        for number in range(options.variants)
+    ]
+    if options.cache is not None:
+        return _recorded([log.name for log in listed], sources, Path(options.cache), processes, say)
+    with processes.agreed():
+        return [RenderedDrive(source) for source in sources]
 
-    drives = [drive(log, number) for log in listed for number in range(options.variants)]
-    return _recorded(drives, Path(options.cache), processes, say) if options.cache else list(drives)
 
-
-def _recorded(drives: Sequence[RenderedDrive], cache: Path, processes: Processes, say: Say) -> list[Drive]:
-    """Return the recordings of drives, which are made if they do not exist."""
-    paths = [cache / f"{drive.log}-{drive.variant}{'a' if drive.change.assets else ''}.safetensors" for drive in drives]
-    missing = [(drive, path) for drive, path in zip(drives, paths) if not path.is_file()]
+def _recorded(
+    names: Sequence[str], sources: Sequence[RenderedSource], cache: Path, processes: Processes, say: Say
+) -> list[Drive]:
+    """Return the recordings of rendered logs, which are made if they do not exist."""
+    of_sources = [names[number * len(names) // len(sources)] for number in range(len(sources))]
+    paths = [cache / f"{name}-{source.change.label}.safetensors" for name, source in zip(of_sources, sources)]
+    missing = [(source, path) for source, path in zip(sources, paths) if not path.is_file()]
     texts = [f"recording {path.name}" for _, path in missing]
-    _in_rounds(processes, [(record, (drive, path)) for drive, path in missing], texts, say)
+    _in_rounds(processes, [(record, (source, path)) for source, path in missing], texts, say)
     found: list[Drive] = []
-    for drive, path in zip(drives, paths):
-        recording = RecordedDrive(path)
-        if recording.identity != drive.identity():
-            raise DataError(
-                f"expected a recording of this log, recipe and skeleton, found another one: remove it: {path}"
-            )
-        found.append(recording)
+    with processes.agreed():
+        for source, path in zip(sources, paths):
+            recording = RecordedDrive(path)
+            if recording.identity != source.identity():
+                what = "a recording of this skeleton, recipe and captions"
+                raise DataError(f"expected {what}, found another one; remove it, or choose another data.cache: {path}")
+            found.append(recording)
     return found
 
 
@@ -182,17 +204,10 @@ def _listed(spec: str) -> Iterator[_Listed]:
         yield _Listed(text, name)
 
 
-def _build(text: str, folder: str) -> None:
-    import pskel
-
-    try:
-        pskel.build(pskel.Log(text), folder)
-    except (pskel.Error, OSError, ValueError) as error:
-        raise DataError(f"the skeleton cannot be built: {first_line(error)}: {text}") from error
-
-
 def _in_rounds(processes: Processes, jobs: Sequence[Any], texts: Sequence[str], say: Say) -> None:
-    """Do jobs in child processes, one at a time in each process of the training. Raises if one fails."""
+    """Do jobs in child processes, one at a time for each process of the training. Raises ``DataError`` if one fails."""
+    # A process that is late must not see what another one has done in the meantime.
+    jobs, texts = processes.share_object((list(jobs), list(texts)))
     for first in range(0, len(jobs), processes.count):
         failure = None
         mine = first + processes.rank
@@ -203,16 +218,17 @@ def _in_rounds(processes: Processes, jobs: Sequence[Any], texts: Sequence[str], 
                 _in_child(function, *arguments)
             except DataError as error:
                 failure = str(error)
-        if failures := [text for text in processes.gather(failure) if text is not None]:
-            raise DataError(failures[0])
+        with processes.agreed():
+            if failure is not None:
+                raise DataError(failure)
 
 
 def _in_child(function: Callable[..., None], *arguments: Any) -> None:
-    """Call a function in a forked process, which may open devices: forks of this process must not share one with it.
+    """Call a function in a process of its own, so that this one opens no device: workers are forked from it.
 
     Raises ``DataError`` if it fails, or if the process is killed.
     """
-    context = multiprocessing.get_context("fork")
+    context = multiprocessing.get_context("spawn")
     receiver, sender = context.Pipe(duplex=False)
     child = context.Process(target=_run, args=(sender, function, arguments), daemon=True)
     child.start()

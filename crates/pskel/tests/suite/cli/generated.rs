@@ -4,7 +4,8 @@
 use std::path::Path;
 use std::process::Command;
 
-use pskel_testing::small_network::weights;
+use pskel_network::{NetworkConfig, Weights};
+use pskel_testing::small_network::{config, statistics};
 use serde_json::Value;
 
 use crate::tiny_log::{PSKEL, assert_failed, tree};
@@ -34,7 +35,9 @@ fn json(path: &Path) -> Value {
 fn generates_evaluates_and_ablates() {
     let folder = tempfile::tempdir().unwrap();
     let folder = folder.path();
-    weights().write(&folder.join("w.safetensors")).unwrap();
+    let config = NetworkConfig { frames: 2, ..config() };
+    let weights = Weights::random(&config, &statistics(), 5).unwrap();
+    weights.write(&folder.join("w.safetensors")).unwrap();
     succeed(folder, &format!("build {TOWN} --out sk"));
     let maps = "--skeleton sk --size 32x64 --maps color,class,instance --generator \
         network:w.safetensors";
