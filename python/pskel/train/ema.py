@@ -28,8 +28,8 @@ class Ema:
     def update(self, step: int) -> None:
         """Add the weights after a step, numbered from 0."""
         decay = min(self.decay, (1 + step) / (10 + step))
-        weights = [weights.float() for weights in self._parameters.values()]
-        torch._foreach_lerp_(list(self.averages.values()), weights, 1 - decay)
+        for name, average in self.averages.items():
+            average.lerp_(self._parameters[name].float(), 1 - decay)
 
     @contextmanager
     def applied(self) -> Iterator[None]:

@@ -9,8 +9,8 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from .config import TrainOptions
 from ..models._adamw8bit import AdamW8bit
+from .config import TrainOptions
 from .errors import ConfigError
 from .parallel import full, local
 

@@ -61,8 +61,9 @@ class Task(Protocol):
     ) -> tuple[Tensor, dict[str, float]]:
         """Return the loss of a player, and numbers to log.
 
-        ``batch`` is what ``draw`` returned, with the tensors in its tuples, lists and dictionaries on the device. Runs under autocast. The parameters of the other players need no gradients meanwhile. PyTorch's default
-        generator is seeded by step and batch. With ``shard = "fsdp"``, modules must be called, not their parts.
+        ``batch`` is what ``draw`` returned, with the tensors in its tuples, lists and dictionaries on the device. Runs
+        under autocast. The parameters of the other players need no gradients meanwhile. PyTorch's default generator is
+        seeded by step and batch. With ``shard = "fsdp"``, modules must be called, not their parts.
         """
 
     def pictures(self, clip: Clip, modules: Mapping[str, nn.Module]) -> Tensor:

@@ -159,7 +159,7 @@ class Network(nn.Module):
     def _residuals(self, adapter: nn.Module, maps: Tensor) -> tuple[Tensor, ...]:
         return tuple(x.view(*maps.shape[:3], *x.shape[1:]) for x in adapter(maps.flatten(0, 2), self._run))
 
-    def _run(self, block: nn.Module, *inputs: Any) -> Any:
+    def _run(self, block: Callable[..., Any], *inputs: Any) -> Any:
         """Apply a block, which is computed again in the backward pass if ``checkpoint_activations``."""
         if self.checkpoint_activations and torch.is_grad_enabled():
             return checkpoint(block, *inputs, use_reentrant=False, preserve_rng_state=False)  # no block draws numbers
@@ -183,7 +183,7 @@ class Network(nn.Module):
         """
         leading = sample.shape[:3]
         _expect_leading(leading, timestep=timestep, conditions=conditions.pooled)
-        _, frames, views = leading
+        frames = leading[1]
         rows, columns = (size // self.config.patch_size for size in sample.shape[-2:])
         mask = self._flags(crossview_attention_mask)
         if mask is not None:
@@ -201,17 +201,30 @@ class Network(nn.Module):
             x = tokens.view(x.shape)
             if layer in self.config.temporal_block_layers:
                 index = self.config.temporal_block_layers.index(layer)
-                embedding = view + self._indices(self.time_pos_embeds[index], frames).view(frames, 1, 1, -1)
-                transformed = _over_frames(partial(self._run, self.temporal_transformer_blocks[index]), x + embedding)
-                x = self.time_mixers[index](x, transformed, disable_temporal)
+                x = self._run(partial(self._mix_frames, index), x, view, disable_temporal)
             if layer in self.config.crossview_block_layers:
                 index = self.config.crossview_block_layers.index(layer)
-                embedding = view + self._indices(self.view_pos_embeds[index], views).view(views, 1, -1)
-                run = partial(self._run, self.crossview_transformer_blocks[index])
-                transformed = _over_views(run, x + embedding, columns, mask)
-                x = self.view_mixers[index](x, transformed, disable_crossview)
+                x = self._run(partial(self._mix_views, index, columns), x, view, mask, disable_crossview)
         patches = self.proj_out(self.norm_out(x.flatten(0, 2), time))
         return _unpatchified(patches, rows, columns, self.config.patch_size).view(*leading, -1, *sample.shape[-2:])
+
+    def _mix_frames(self, index: int, x: Tensor, view: Tensor, disabled: Tensor | None) -> Tensor:
+        """Blend tokens ``[B, T, V, tokens, D]`` with those of a block over the frames at the same position."""
+        frames = x.shape[1]
+        embedding = view + self._indices(self.time_pos_embeds[index], frames).view(frames, 1, 1, -1)
+        transformed = _over_frames(self.temporal_transformer_blocks[index], x + embedding)
+        mixed: Tensor = self.time_mixers[index](x, transformed, disabled)
+        return mixed
+
+    def _mix_views(
+        self, index: int, columns: int, x: Tensor, view: Tensor, mask: Tensor | None, disabled: Tensor | None
+    ) -> Tensor:
+        """Blend tokens ``[B, T, V, rows * columns, D]`` with those of a block over the cameras in the same row."""
+        views = x.shape[2]
+        embedding = view + self._indices(self.view_pos_embeds[index], views).view(views, 1, -1)
+        transformed = _over_views(self.crossview_transformer_blocks[index], x + embedding, columns, mask)
+        mixed: Tensor = self.view_mixers[index](x, transformed, disabled)
+        return mixed
 
     def _converted(self, x: Tensor) -> Tensor:
         return x.to(self.proj_out.weight)
@@ -260,17 +273,17 @@ def _row_mask(mask: Tensor, frames: int, rows: int, columns: int) -> Tensor:
     return tokens.repeat_interleave(frames * rows, 0).unsqueeze(1)
 
 
-def _over_frames(block: Callable[..., Tensor], x: Tensor) -> Tensor:
+def _over_frames(block: nn.Module, x: Tensor) -> Tensor:
     """Apply a block to the tokens at the same position in all frames; ``x`` is ``[B, T, V, tokens, D]``."""
     series = x.permute(0, 2, 3, 1, 4)
-    out = block(series.flatten(0, 2))
+    out: Tensor = block(series.flatten(0, 2))
     return out.view(series.shape).permute(0, 3, 1, 2, 4)
 
 
-def _over_views(block: Callable[..., Tensor], x: Tensor, columns: int, mask: Tensor | None) -> Tensor:
+def _over_views(block: nn.Module, x: Tensor, columns: int, mask: Tensor | None) -> Tensor:
     """Apply a block to the tokens in the same row of all cameras; ``x`` is ``[B, T, V, rows * columns, D]``."""
     rows = x.reshape(*x.shape[:3], -1, columns, x.shape[-1]).transpose(2, 3)
-    out = block(rows.flatten(3, 4).flatten(0, 2), mask)
+    out: Tensor = block(rows.flatten(3, 4).flatten(0, 2), mask)
     return out.view(rows.shape).transpose(2, 3).flatten(3, 4)
 
 

@@ -36,7 +36,7 @@ fn generates_evaluates_and_ablates() {
     let folder = tempfile::tempdir().unwrap();
     let folder = folder.path();
     let config = NetworkConfig { frames: 2, ..config() };
-    let weights = Weights::random(&config, &statistics(), 5).unwrap();
+    let weights = Weights::random(&config, &statistics(), 1).unwrap();
     weights.write(&folder.join("w.safetensors")).unwrap();
     succeed(folder, &format!("build {TOWN} --out sk"));
     let maps = "--skeleton sk --size 32x64 --maps color,class,instance --generator \
