@@ -11,11 +11,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from image_base import Array, Peer, pack, unpack
 
 torch = pytest.importorskip("torch")
 diffusers = pytest.importorskip("diffusers")
 transformers = pytest.importorskip("transformers")
+from image_base import Array, Peer, pack, unpack  # noqa: E402
 from image_frames import (  # noqa: E402
     CAMERAS,
     FPS,

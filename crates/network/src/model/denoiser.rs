@@ -1,4 +1,4 @@
-use super::Encoded;
+use super::encoded::Encoded;
 use super::images::{Images, Weights3x3};
 use super::parameters::{Arrays, Module};
 use crate::NetworkConfig;

@@ -15,7 +15,7 @@ pub(super) struct Encoder {
 
 /// Features of a frame at 1/4, 1/8 and 1/16 of the size, `[V, H, W, C]`.
 #[derive(Clone, Debug)]
-pub(crate) struct Features {
+pub(super) struct Features {
     pub(super) at4: Images,
     pub(super) at8: Images,
     pub(super) at16: Images,

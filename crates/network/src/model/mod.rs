@@ -8,14 +8,15 @@
 
 mod decoder;
 mod denoiser;
+mod encoded;
 mod encoder;
 mod images;
 mod parameters;
 
 use decoder::Decoder;
 use denoiser::Denoiser;
+pub(crate) use encoded::Encoded;
 use encoder::Encoder;
-pub(crate) use encoder::Features;
 pub(crate) use images::Images;
 pub(crate) use parameters::Arrays;
 use parameters::Module;
@@ -32,20 +33,6 @@ pub(crate) struct Model {
     encoder: Encoder,
     denoiser: Denoiser,
     decoder: Decoder,
-}
-
-/// Encoded conditions of a frame.
-#[derive(Clone, Debug)]
-pub(crate) struct Encoded {
-    /// Number of cameras, V.
-    pub(crate) views: usize,
-    pub(crate) features: Features,
-    /// First guess of the latents, the filled color, `[V h w, 3]`.
-    pub(crate) guess: Vec<f32>,
-    /// Embedded rays of tokens, `[V R, d]`.
-    rays: Vec<f32>,
-    /// Embedded ego motion, `[d]`.
-    ego: Vec<f32>,
 }
 
 impl Model {

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -93,18 +93,56 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Print the table of docs/src/reference/pas.md; returns the exit status, after an error in one line on standard error."""
     parser = argparse.ArgumentParser(prog="python -m pskel.models.pas.cost", description=__doc__.split(":")[0] + ".")
     parser.add_argument("--config", metavar="F.json", help="sizes of the network (default: the published checkpoints)")
+    parser.add_argument("--training", action="store_true", help="of training, in place of inference")
+    names = [known.name for known in PUBLISHED]
+    parser.add_argument("--clips", choices=names, default=names[0], help=f"clips of the training (default: {names[0]})")
+    parser.add_argument(
+        "--rate", type=float, default=400.0, metavar="T", help="10^12 operations per second of the training (default: 400)"
+    )
+    parser.add_argument(
+        "--measure", metavar="N", type=int, help="also take steps with random weights on a GPU, as column N of --training"
+    )
     options = parser.parse_args(arguments)
     try:
         config = Config() if options.config is None else Config.read(options.config)
+        if options.training:
+            _print(*_training(config, options))
+        else:
+            costs = [cost(known, config) for known in PUBLISHED]
+            _print("", names, _rows(costs))
     except (ValueError, OSError) as error:
         print(f"pskel.models.pas.cost: {error}", file=sys.stderr)
         return 1
-    costs = [cost(known, config) for known in PUBLISHED]
-    print("| | " + " | ".join(known.name for known in PUBLISHED) + " |")
-    print("|---" * (1 + len(PUBLISHED)) + "|")
-    for name, values in _rows(costs):
-        print("| " + " | ".join((name, *values)) + " |")
     return 0
+
+
+def _print(title: str, names: Sequence[str], rows: Iterable[tuple[str, list[str]]]) -> None:
+    """Print a table in Markdown."""
+    print(f"| {title + ' ' if title else ''}| " + " | ".join(names) + " |")
+    print("|---" * (1 + len(names)) + "|")
+    for name, values in rows:
+        print("| " + " | ".join((name, *values)) + " |")
+
+
+def _training(config: Config, options: argparse.Namespace) -> tuple[str, list[str], list[tuple[str, list[str]]]]:
+    """Title, columns and rows of the table of training."""
+    from .training.memory import RUNS, cost, measured, table
+
+    if not options.rate > 0:
+        raise ValueError(f"expected --rate above 0, found {options.rate:g}")
+    if options.measure is not None and not 1 <= options.measure <= len(RUNS):
+        raise ValueError(f"expected --measure of 1 to {len(RUNS)}, found {options.measure}")
+    if options.measure is not None and not torch.cuda.is_available():
+        raise ValueError("expected a GPU for --measure, found none")
+    known = next(known for known in PUBLISHED if known.name == options.clips)
+    rows = list(table([cost(run, known, config) for run in RUNS], options.rate))
+    if options.measure is not None:
+        seconds, peak = measured(RUNS[options.measure - 1], known, config)
+        texts = [""] * len(RUNS)
+        texts[options.measure - 1] = f"{seconds:.2f} s, {peak / 1e9:.1f} GB"
+        rows.append((f"measured on {torch.cuda.get_device_name()}: time and peak for 1 clip", texts))
+    size = f"{known.size[0]}x{known.size[1]}, {known.frames} frames, {len(known.cameras)} cameras"
+    return size, [run.train for run in RUNS], rows
 
 
 def _rows(costs: Sequence[Cost]) -> list[tuple[str, list[str]]]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import torch
 from diffusers import UNet2DConditionModel
@@ -78,6 +78,9 @@ class Network(nn.Module):
     converted to the device and, except timesteps and ``ids``, to the type of the parameters. Sources: *Point as Skeleton*;
     Stable Diffusion, arXiv:2112.10752; T2I-Adapter, arXiv:2302.08453.
     """
+
+    _no_split_modules: ClassVar[list[str]] = ["WindowTransformer", "ResnetBlock2D", "AdapterBlock"]
+    """Classes of the modules that FSDP shards one by one, a name of diffusers and transformers."""
 
     def __init__(self, config: Config, unet: UNet2DConditionModel | None = None) -> None:
         """Create a network with random weights, or with those of ``unet``, which becomes a part of it."""
