@@ -25,8 +25,8 @@ BLOCK = 256
 _SMALL = 4096
 """Smaller tensors keep moments in ``float32``; they are few, and often norms and biases."""
 _DECADES = 7
-_STRIDE, _SHIFT, _BITS = 2654435769, 1640531527, 32
-"""Odd numbers near 2^32 over the golden ratio and its square: steps of an evenly distributed sequence of 32 bits."""
+_WORD, _FACTOR, _SPREAD = 0xFFFFFFFF, 0x45D9F3B, 2654435769
+"""Of the hash of 32 bits that rounds."""
 
 
 class AdamW8bit(torch.optim.Optimizer):
@@ -157,11 +157,16 @@ def _levels(*, signed: bool) -> Tensor:
 
 
 def _dither(count: int, step: int, device: torch.device, *, signed: bool) -> Tensor:
-    """Numbers from 0 to below 1, ``float32 [count]``: evenly distributed over places, and at each place over steps."""
-    places = torch.arange(count, device=device, dtype=torch.int64)
-    half = 0 if signed else 1 << (_BITS - 1)  # both moments of a parameter do not round alike
-    numbers = (places * _STRIDE + step * _SHIFT + half) & ((1 << _BITS) - 1)
-    return (numbers >> (_BITS - 24)).float() * 2.0**-24
+    """Random numbers from 0 to below 1, ``float32 [count]``: a hash of place, step and moment, the same on all devices.
+
+    A low-discrepancy sequence in its place left second moments 3 % too small: each place has to be independent from step to
+    step.
+    """
+    numbers = torch.arange(count, device=device, dtype=torch.int64)
+    numbers ^= (2 * step + signed) * _SPREAD & _WORD
+    for _ in range(2):
+        numbers = (numbers ^ (numbers >> 16)) * _FACTOR & _WORD
+    return ((numbers ^ (numbers >> 16)) >> 8).float() * 2.0**-24
 
 
 def _blocks(count: int) -> int:

@@ -22,7 +22,9 @@ Serve = Callable[[argparse.Namespace, BufferedIOBase, BufferedIOBase], None]
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of the device."""
     parser.add_argument("--device", default="cuda", help="cuda, cuda:N or cpu (default: cuda)")
-    parser.add_argument("--dtype", default="bf16", choices=DTYPES, help="type of weights and computation (default: bf16)")
+    parser.add_argument(
+        "--dtype", default="bf16", choices=DTYPES, help="type of weights and computation (default: bf16)"
+    )
     parser.add_argument(
         "--cached-frames",
         type=whole_number,
@@ -65,7 +67,9 @@ def device_of(name: str) -> torch.device:
         raise ValueError(f"expected --device cuda, cuda:N or cpu, found {name}")
     count = torch.cuda.device_count() if torch.cuda.is_available() else 0
     if kind == "cuda" and int(number or 0) >= count:
-        raise ValueError(f"expected a GPU for --device {name}, found {count} that PyTorch can use (--device cpu is slow)")
+        raise ValueError(
+            f"expected a GPU for --device {name}, found {count} that PyTorch can use (--device cpu is slow)"
+        )
     return torch.device(name)
 
 

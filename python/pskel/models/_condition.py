@@ -17,7 +17,16 @@ from .._arrays import numbers
 if TYPE_CHECKING:
     from pskel import Scene
 
-__all__ = ["DROPPED_MOTION", "LAYOUT_CHANNELS", "NO_COLOR", "NO_DEPTH", "POINT_CHANNELS", "ConditionMaps", "FrameCondition", "compute_keys"]
+__all__ = [
+    "DROPPED_MOTION",
+    "LAYOUT_CHANNELS",
+    "NO_COLOR",
+    "NO_DEPTH",
+    "POINT_CHANNELS",
+    "ConditionMaps",
+    "FrameCondition",
+    "compute_keys",
+]
 
 _Array = np.ndarray[Any, np.dtype[np.float32]]
 

@@ -27,7 +27,8 @@ def counted(run: Callable[[], _Result]) -> tuple[_Result, int]:
 def saved_bytes(run: Callable[[], _Result], parameters: Iterable[Tensor]) -> tuple[_Result, int]:
     """Return the result of ``run`` and the bytes of what autograd keeps for the backward pass, without ``parameters``.
 
-    On the ``meta`` device, attention keeps what fused kernels keep: its inputs and output, not the weights of all pairs.
+    On the ``meta`` device, attention keeps what fused kernels keep: its inputs and output, not the weights of all
+    pairs.
     """
     known = {_storage(parameter) for parameter in parameters}
     kept: dict[int, Tensor] = {}

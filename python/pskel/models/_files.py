@@ -14,7 +14,9 @@ TOKENIZER: tuple[tuple[str, ...], ...] = (("tokenizer.json", "vocab.json"),)
 """Files of a tokenizer."""
 
 
-def expect_folder(base: str | os.PathLike[str], title: str, files: Sequence[tuple[str, tuple[tuple[str, ...], ...]]]) -> Path:
+def expect_folder(
+    base: str | os.PathLike[str], title: str, files: Sequence[tuple[str, tuple[tuple[str, ...], ...]]]
+) -> Path:
     """Check that the files to read are there; returns the folder.
 
     ``files`` are pairs of a sub-folder and of patterns; of each tuple of patterns one file must be there. Raises

@@ -29,7 +29,8 @@ class Message(NamedTuple):
 def read(stream: BufferedIOBase) -> Message | None:
     """Read a message; returns ``None`` at the end of the stream.
 
-    Raises ``ValueError`` if the stream ends within a message, or if it is not a file of safetensors with tensors of F32.
+    Raises ``ValueError`` if the stream ends within a message, or if it is not a file of safetensors with tensors of
+    F32.
     """
     prefix = _exactly(stream, _LENGTH.size)
     if not prefix:
@@ -45,7 +46,9 @@ def read(stream: BufferedIOBase) -> Message | None:
     try:
         tensors = load(content)
     except (SafetensorError, KeyError) as error:
-        raise ValueError(f"expected a message of safetensors with tensors of F32, found {length} bytes: {error}") from error
+        raise ValueError(
+            f"expected a message of safetensors with tensors of F32, found {length} bytes: {error}"
+        ) from error
     for name, tensor in tensors.items():
         if tensor.dtype != np.float32:
             raise ValueError(f"expected a message of safetensors with tensors of F32, found {name} of {tensor.dtype}")

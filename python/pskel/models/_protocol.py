@@ -67,12 +67,11 @@ class Hello(NamedTuple):
 
     @classmethod
     def parse(cls, texts: Mapping[str, str], expected: Sampling) -> Hello:
-        """Convert the texts of the first message; raises ``ValueError``, which names the text that is missing or wrong."""
+        """Convert the texts of the first message; raises ``ValueError``, which names a missing or wrong text."""
         found = {name: texts.get(name) for name in _PROTOCOL}
         if found != _PROTOCOL:
-            raise ValueError(
-                f"expected protocol pskel-denoiser of version 1, found {found['protocol']} of version {found['version']}"
-            )
+            name, version = found["protocol"], found["version"]
+            raise ValueError(f"expected protocol pskel-denoiser of version 1, found {name} of version {version}")
         sampler, prediction = _text(texts, "sampler"), _text(texts, "prediction")
         if (sampler, prediction) != (expected.sampler, expected.prediction):
             raise ValueError(f"expected --sampler {expected.option}, found {sampler} with prediction {prediction}")
@@ -84,12 +83,13 @@ class Hello(NamedTuple):
             raise ValueError(f"expected condition_size H,W in the hello, found {texts['condition_size']!r}")
         names = _list(texts, "cameras")
         if len(names) != views or not all(isinstance(name, str) for name in names):
-            raise ValueError(f"expected cameras as a list of {views} names in the hello, found {texts['cameras'][:200]}")
+            raise ValueError(
+                f"expected cameras as a list of {views} names in the hello, found {texts['cameras'][:200]}"
+            )
         sizes = _list(texts, "image_sizes")
         if len(sizes) != views or not all(_is_size(size) for size in sizes):
-            raise ValueError(
-                f"expected image_sizes as a list of {views} [width, height] in the hello, found {texts['image_sizes'][:200]}"
-            )
+            shown = texts["image_sizes"][:200]
+            raise ValueError(f"expected image_sizes as a list of {views} [width, height] in the hello, found {shown}")
         try:
             fps = float(_text(texts, "fps"))
         except ValueError:
@@ -103,8 +103,8 @@ def serve(
 ) -> None:
     """Answer the messages of a generator until it closes the stream.
 
-    ``create`` makes the denoiser, after the hello. Raises ``ValueError`` for messages and requests that the network cannot
-    answer.
+    ``create`` makes the denoiser, after the hello. Raises ``ValueError`` for messages and requests that the network
+    cannot answer.
     """
     first = messages.read(source)
     if first is None:

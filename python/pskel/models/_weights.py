@@ -28,7 +28,9 @@ def expect_tensors(expected: Mapping[str, Tensor], found: Mapping[str, Tensor], 
     problems = [("missing", missing), ("additional", additional), ("of another shape", shapes)]
     texts = [f"{len(names)} {kind} ({_listed(names)})" for kind, names in problems if names]
     if texts:
-        raise ValueError(f"expected the {len(expected)} tensors of the network, found {', '.join(texts)}: {os.fspath(path)}")
+        raise ValueError(
+            f"expected the {len(expected)} tensors of the network, found {', '.join(texts)}: {os.fspath(path)}"
+        )
 
 
 def add_lora(module: nn.Module, rank: int, pattern: str) -> None:
@@ -55,7 +57,7 @@ def saved_name(name: str) -> str:
 
 
 def lora_tensors(module: nn.Module, rank: int, pattern: str, prefix: str = "") -> dict[str, Tensor]:
-    """Return the LoRA matrices that a file has for ``add_lora``: names, which begin with ``prefix``, and empty tensors."""
+    """Return the LoRA matrices that a file has after ``add_lora``: names with ``prefix``, and empty tensors."""
     tensors = {}
     for name, layer in module.named_modules():
         if isinstance(layer, nn.Linear) and re.fullmatch(pattern, name):

@@ -70,7 +70,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             raise ConfigError(f"training needs PyTorch and accelerate: pip install 'pskel[train]' ({error})") from error
         train(config, options.data, options.out, resume=options.resume)
     except TrainError as error:
-        print(f"{PROGRAM}: {error}", file=sys.stderr)
+        if not error.of_all or os.environ.get("RANK", "0") == "0":
+            print(f"{PROGRAM}: {error}", file=sys.stderr)
         return 1
     return 0
 

@@ -135,14 +135,12 @@ def save_checkpoint(
             _finish(folder, partial, step, config)
         except OSError as error:
             failures = [error.strerror or first_line(error)]
-    failures = processes.share_object(failures)
-    if failures:
-        if processes.is_main:
+    with processes.agreed():
+        if failures and processes.is_main:
             shutil.rmtree(partial, ignore_errors=True)
             last = last_checkpoint(folder)
             kept = "there is no earlier one" if last is None else f"--resume continues from {last.name}"
             raise CheckpointError(f"the checkpoint cannot be written: {failures[0]}: {_path(folder, step)}; {kept}")
-        raise CheckpointError(f"the checkpoint cannot be written: {failures[0]}: {_path(folder, step)}")
 
 
 def _finish(folder: Path, partial: Path, step: int, config: Mapping[str, Any]) -> None:

@@ -125,6 +125,7 @@ class _Run:
             return state
         if resume:
             self.progress.say("no checkpoint found: the training begins")
+        self.progress.say("taking statistics of the data")
         with statistics_clips(_sampler(self.data, self.config), train) as clips:
             self.task.prepare(clips)
         self.task.load_state(self.processes.share_object(self.task.state()))

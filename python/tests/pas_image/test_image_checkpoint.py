@@ -116,7 +116,7 @@ def test_lora_begins_as_the_base(base: Path) -> None:
 
 def test_sizes_are_those_of_the_folder(base: Path, tmp_path: Path) -> None:
     assert base_config(base) == TINY
-    published = {
+    published: dict[str, Any] = {
         "_class_name": "UNet2DConditionModel",
         "_diffusers_version": "0.6.0",
         "act_fn": "silu",
@@ -141,12 +141,13 @@ def test_sizes_are_those_of_the_folder(base: Path, tmp_path: Path) -> None:
     path = tmp_path / "unet" / "config.json"
     path.write_text(json.dumps(published))
     assert base_config(tmp_path) == Config()
-    for changed, message in [
+    changes: list[tuple[dict[str, Any], str]] = [
         ({"use_linear_projection": True}, "expected use_linear_projection false, found true"),  # version 2
         ({"in_channels": 9, "out_channels": 4}, "expected out_channels 9, found 4"),  # inpainting
         ({"cross_attention_dim": [768]}, "expected cross_attention_dim of type int, found [768]"),
         ({"mid_block_type": None}, 'expected mid_block_type "UNetMidBlock2DCrossAttn", found null'),
-    ]:
+    ]
+    for changed, message in changes:
         path.write_text(json.dumps({**published, **changed}))
         with pytest.raises(ValueError, match=f"^{re.escape(message)}: {re.escape(str(path))}$"):
             base_config(tmp_path)
@@ -181,7 +182,9 @@ def test_missing_parts_are_named(base: Path, tmp_path: Path, missing: str, text:
 def test_other_unets_are_refused(base: Path, tmp_path: Path) -> None:
     with pytest.raises(ValueError) as caught:
         load_unet(base, Config())
-    found = f"expected block_out_channels [320, 640, 1280, 1280], found [16, 32, 32, 32]: {base / 'unet' / 'config.json'}"
+    found = (
+        f"expected block_out_channels [320, 640, 1280, 1280], found [16, 32, 32, 32]: {base / 'unet' / 'config.json'}"
+    )
     assert str(caught.value) == found
     copy = tmp_path / "base"
     shutil.copytree(base, copy)
@@ -197,7 +200,9 @@ def test_other_weights_are_refused(base: Path, tmp_path: Path) -> None:
     save(network, path, CONFIGS[1])
     with pytest.raises(ValueError) as caught:
         load(path)
-    assert str(caught.value) == f"expected the folder of Stable Diffusion 1.5 for weights of adapters, found none: {path}"
+    assert (
+        str(caught.value) == f"expected the folder of Stable Diffusion 1.5 for weights of adapters, found none: {path}"
+    )
     tensors = safetensors.load_file(path)
     count = len(tensors)
     removed = [name for name in tensors if name.startswith("view_embedding")]
@@ -215,11 +220,16 @@ def test_other_weights_are_refused(base: Path, tmp_path: Path) -> None:
     assert names.sub("", str(caught.value)) == names.sub("", expected)
     # LoRA matrices of another rank.
     save(create(CONFIGS[2], base), path, replace(CONFIGS[2], lora_rank=3))
-    with pytest.raises(ValueError, match=r"of another shape \(unet.*lora_A.weight: expected \[3, 16\], found \[2, 16\]"):
+    with pytest.raises(
+        ValueError, match=r"of another shape \(unet.*lora_A.weight: expected \[3, 16\], found \[2, 16\]"
+    ):
         load(path, base)
     for texts, message in [
         ({"format": "pt"}, "expected weights of pskel-pas-image, version 1, found pt, version None"),
-        ({**header(TINY, TRAINING), "version": "2"}, "expected weights of pskel-pas-image, version 1, found pskel-pas-image, version 2"),
+        (
+            {**header(TINY, TRAINING), "version": "2"},
+            "expected weights of pskel-pas-image, version 1, found pskel-pas-image, version 2",
+        ),
         ({**header(TINY, TRAINING), "config": '{"colour": 1}'}, "expected keys of the network, found colour"),
     ]:
         safetensors.save_file({"a": torch.zeros(1)}, path, texts)

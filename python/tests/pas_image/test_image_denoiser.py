@@ -15,9 +15,8 @@ import pytest
 torch = pytest.importorskip("torch")
 diffusers = pytest.importorskip("diffusers")
 transformers = pytest.importorskip("transformers")
-from image_base import Array, Peer, pack, unpack  # noqa: E402
+from image_base import CAMERAS, Array, Peer, pack, unpack  # noqa: E402
 from image_frames import (  # noqa: E402
-    CAMERAS,
     FPS,
     HELLO,
     IMAGE_SIZES,
@@ -47,23 +46,25 @@ def predict_directly(models: Models, base: Path, latents: Any, timesteps: Any, f
     tokenizer = transformers.CLIPTokenizer.from_pretrained(base / "tokenizer")
     encoder = transformers.CLIPTextModel.from_pretrained(base / "text_encoder").eval()
     ids = np.empty((1, L, V, 13))
-    for frame, arrays in enumerate(frames):
-        forward, left, yaw = frames[max(frame, 1)]["action"].astype(float).tolist()  # the first repeats the second
+    for number, arrays in enumerate(frames):
+        forward, left, yaw = frames[max(number, 1)]["action"].astype(float).tolist()  # the first repeats the second
         distance = np.hypot(forward, left)
         speed, steering = distance * FPS * 3.6, yaw / distance * 2.7 * 14
         if forward == -1000.0:
             speed = steering = -1000.0
         for view, (width, height) in enumerate(IMAGE_SIZES):
-            numbers = arrays["cameras"][view].astype(float).tolist()
-            fx, fy, cx, cy = numbers[12:]
-            pose = [numbers[i] for i in (2, 6, 10, 3, 7, 11)]
-            ids[0, frame, view] = [FPS, fx * (width / height), fy, cx, cy, *pose, speed, steering]
+            camera = arrays["cameras"][view].astype(float).tolist()
+            fx, fy, cx, cy = camera[12:]
+            pose = [camera[i] for i in (2, 6, 10, 3, 7, 11)]
+            ids[0, number, view] = [FPS, fx * (width / height), fy, cx, cy, *pose, speed, steering]
     points = np.stack([frame["points"] for frame in frames])[None]
     points[:, :, :, 4:] = 0.0
     with torch.inference_mode():
         tokens = []
         for frame in frames:
-            text = tokenizer([frame["prompt"]], padding="max_length", max_length=77, truncation=True, return_tensors="pt")
+            text = tokenizer(
+                [frame["prompt"]], padding="max_length", max_length=77, truncation=True, return_tensors="pt"
+            )
             tokens.append(encoder(text.input_ids).last_hidden_state[0])
         output = models.network(
             Inputs(
@@ -196,7 +197,8 @@ def test_levels_of_a_table_without_signal(base: Path, tmp_path: Path, rig: Rig) 
     with Recorder(models) as seen:
         Denoiser(models, rig)(latents, timesteps, sigmas, created(frames))
     tables = [
-        diffusers.DDPMScheduler(**TABLE, rescale_betas_zero_snr=zero).alphas_cumprod.double().numpy() for zero in (False, True)
+        diffusers.DDPMScheduler(**TABLE, rescale_betas_zero_snr=zero).alphas_cumprod.double().numpy()
+        for zero in (False, True)
     ]
     expected = [np.sqrt(tables[0][151]), np.sqrt(tables[0][701])]
     found = np.interp(seen.calls[0][1].numpy(), np.arange(1000), np.sqrt(tables[1]))
@@ -329,9 +331,7 @@ def test_other_requests_are_refused(capsys: pytest.CaptureFixture[str], base: Pa
     assert refused({"ask": "encode"}, image) == "expected the tensor images of [6, 3, 40, 72], found [6, 3, 72, 40]"
 
 
-def test_other_files_are_refused(
-    capsys: pytest.CaptureFixture[str], base: Path, weights: Path, tmp_path: Path
-) -> None:
+def test_other_files_are_refused(capsys: pytest.CaptureFixture[str], base: Path, weights: Path, tmp_path: Path) -> None:
     nothing = tmp_path / "nothing"
     found = failure(capsys, arguments(nothing, weights))
     assert found == f"expected a folder of Stable Diffusion 1.5, found none: {nothing}"

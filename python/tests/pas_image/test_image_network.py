@@ -64,7 +64,9 @@ def test_a_new_network_is_stable_diffusion(base: Path, rows: int, columns: int) 
     new = Network(TINY, load_unet(base, TINY)).eval()
     with torch.inference_mode():
         timesteps = given.timestep[:, :, None].expand(B, T, V).flatten()
-        expected = plain(given.sample.flatten(0, 2), timesteps, given.text.flatten(0, 2)).sample.view(given.sample.shape)
+        expected = plain(given.sample.flatten(0, 2), timesteps, given.text.flatten(0, 2)).sample.view(
+            given.sample.shape
+        )
     assert expected.std() > 0.1
     assert torch.equal(run(new, given), expected)
     random_weights(new)
@@ -75,7 +77,9 @@ def test_each_addition_matters() -> None:
     """Each part that is 0 before training changes the output once it is not, and only if its input is there."""
     torch.manual_seed(3)
     transformers = 3 + 1 + 2 * 3  # of TINY: down, mid, up
-    parts = {"layout_adapter": 1, "point_adapter": 1, "view_embedding": 1} | dict.fromkeys(("across_views", "across_frames"), transformers)
+    parts = {"layout_adapter": 1, "point_adapter": 1, "view_embedding": 1} | dict.fromkeys(
+        ("across_views", "across_frames"), transformers
+    )
     for part, count in parts.items():
         network = Network(TINY).eval()
         given = inputs()
@@ -206,7 +210,8 @@ def test_checkpointing_gives_the_same_gradients() -> None:
         if is_checkpointed:
             network.enable_checkpointing()
         network(inputs(5, 9)).square().mean().backward()
-        gradients.append({name: parameter.grad for name, parameter in network.named_parameters()})
+        found: dict[str, Any] = {name: parameter.grad for name, parameter in network.named_parameters()}
+        gradients.append(found)
     assert all(gradient is not None and gradient.any() for gradient in gradients[0].values())
     for name, gradient in gradients[0].items():
         assert (gradients[1][name] - gradient).abs().max() <= 1e-5 * gradient.abs().max(), name

@@ -48,7 +48,7 @@ def steps(made: ImageTask, optimizer: Any, numbers: range, clips: int = 2) -> li
         batch = made.draw([clip(0, views=VIEWS, size=SIZE)] * clips, number, 0, 0)
         loss, _ = made.loss("network", batch, modules(made), CPU)
         optimizer.zero_grad()
-        loss.backward()
+        torch.autograd.backward(loss)
         torch.nn.utils.clip_grad_norm_(made.network.parameters(), 1.0)
         optimizer.step()
         losses.append(float(loss.detach()))
@@ -79,7 +79,9 @@ def test_other_options_are_refused(base: Path, options: dict[str, Any], message:
 def test_a_base_is_needed(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="^expected base, a folder of Stable Diffusion 1.5, found none$"):
         task({}, TrainOptions())
-    with pytest.raises(ValueError, match=f"^expected a folder of Stable Diffusion 1.5 with unet, found none: {tmp_path}$"):
+    with pytest.raises(
+        ValueError, match=f"^expected a folder of Stable Diffusion 1.5 with unet, found none: {tmp_path}$"
+    ):
         task({"base": tmp_path}, TrainOptions())
 
 
@@ -93,7 +95,9 @@ def test_recipes_are_those_of_the_presets() -> None:
 
 def test_clips_that_do_not_fit_are_errors_of_the_data(base: Path) -> None:
     made = prepared(base)
-    with pytest.raises(DataError, match=r"expected height and width in multiples of 8, found 32x60: log log-a, frame 0"):
+    with pytest.raises(
+        DataError, match=r"expected height and width in multiples of 8, found 32x60: log log-a, frame 0"
+    ):
         made.draw([clip(size=(32, 60))], 0, 0, 0)
     with pytest.raises(DataError, match="expected clips of at least 2 frames, found 1"):
         made.prepare(iter([clip(frames=1)]))

@@ -219,6 +219,14 @@ def test_a_loss_that_is_not_finite_ends_the_training(tmp_path: Path, clip: Path)
     assert all(value.isfinite().all() for value in state["modules"]["network"].values())
 
 
+def test_one_process_speaks_for_all(tmp_path: Path, clip: Path) -> None:
+    file, out = config(tmp_path, options={"fail": "nan", "step": 1}), tmp_path / "out"
+    first, second = run_two("-m", "pskel.train", file, "--data", clip, "--out", out, port=PORT + 2)
+    assert first.returncode == second.returncode == 1
+    assert first.stderr.splitlines()[-1].startswith("pskel.train: the loss of network is not finite in step 2, clips")
+    assert second.stderr == ""
+
+
 def test_a_gradient_that_is_not_finite_ends_the_training(tmp_path: Path, clip: Path) -> None:
     file, out = config(tmp_path, options={"fail": "gradient", "step": 1}), tmp_path / "out"
     assert "the gradient of network is not finite in step 2, clips scene:" in failure(

@@ -147,7 +147,7 @@ def of_two(tmp_path_factory: pytest.TempPathFactory) -> Path:
     )  # fmt: skip
     critics = write_config(folder / "critics.toml", options={"critic": True, "critic_start": 2})
     fsdp = ["--set", "train.shard=fsdp"]
-    again = folder / "again"
+    again, wide = folder / "again", ["--set", "options.width=4096", "--set", "train.optimizer=adamw8bit"]
     runs = [
         [plain, "--out", folder / "plain"],
         [plain, "--out", folder / "added", "--set", "train.accumulate=2"],
@@ -155,6 +155,10 @@ def of_two(tmp_path_factory: pytest.TempPathFactory) -> Path:
         [noisy, "--out", folder / "sharded", *fsdp],
         [noisy, "--out", again, *fsdp, "--steps", 4],
         [noisy, "--out", again, *fsdp, "--resume"],
+        [noisy, "--out", folder / "eight", *fsdp, *wide],
+        [noisy, "--out", folder / "eight-again", *fsdp, *wide, "--steps", 4],
+        [noisy, "--out", folder / "eight-again", *fsdp, *wide, "--resume"],
+        [plain, "--out", folder / "spare", "--set", "options.spare=true"],
         [critics, "--out", folder / "critics"],
         [critics, "--out", folder / "critics-sharded", *fsdp],
     ]
@@ -199,6 +203,41 @@ def test_sharded_modules_equal_whole_ones(of_two: Path) -> None:
 
 def test_sharded_modules_resume(of_two: Path) -> None:
     assert (of_two / "again" / "loss.csv").read_bytes() == (of_two / "sharded" / "loss.csv").read_bytes()
+    assert (of_two / "eight-again" / "loss.csv").read_bytes() == (of_two / "eight" / "loss.csv").read_bytes()
+    parts = [torch.load(of_two / "eight" / "checkpoint-6" / f"rank-{rank}.pt", weights_only=True) for rank in range(2)]
+    for part in parts:  # 6 x 4096 weights, each half of which has moments of 8 bits
+        codes = part["moments"]["network"][0]["first"]
+        assert codes.dtype == torch.uint8 and len(codes) == 6 * 4096 // 2
+
+
+def test_a_parameter_without_a_gradient_is_not_changed(of_two: Path) -> None:
+    assert_same(of_two / "spare", of_two / "plain")
+    assert weights_of(of_two / "spare")["spare"].tolist() == [1, 1]
+
+
+def test_moments_of_8_bits(tmp_path: Path, clips: list[Path]) -> None:
+    outs = [tmp_path / name for name in ("whole", "parts", "full")]
+    file = config(tmp_path, train={"optimizer": "adamw8bit", "ema": 0.5}, options={"width": 1024})
+    run(file, "--data", *clips, "--out", outs[0])
+    run(file, "--data", *clips, "--out", outs[1], "--steps", 4)
+    run(file, "--data", *clips, "--out", outs[1], "--resume")
+    assert (outs[0] / "loss.csv").read_bytes() == (outs[1] / "loss.csv").read_bytes()
+    assert (outs[0] / "weights.safetensors").read_bytes() == (outs[1] / "weights.safetensors").read_bytes()
+    state = torch.load(outs[0] / "checkpoint-6" / "rank-0.pt", weights_only=True)
+    assert state["moments"]["network"][0]["second"].dtype == torch.uint8
+    run(file, "--data", *clips, "--out", outs[2], "--set", "train.optimizer=adamw")
+    assert 0 < difference(outs[0], outs[2]) < 0.02
+
+
+def test_half_precision(tmp_path: Path, clips: list[Path]) -> None:
+    """Losses under autocast are near those in single precision; weights and moments stay in single precision."""
+    one, half = tmp_path / "one", tmp_path / "half"
+    run(config(tmp_path), "--data", *clips, "--out", one)
+    run(config(tmp_path, train={"precision": "bf16"}), "--data", *clips, "--out", half)
+    assert 0 < difference(one, half) < 2**-8
+    state = torch.load(half / "checkpoint-6" / "rank-0.pt", weights_only=True)
+    tensors = [*state["modules"]["network"].values(), *state["moments"]["network"][0].values()]
+    assert {tensor.dtype for tensor in tensors} == {torch.float32}
 
 
 def test_numbers_of_the_progress_line() -> None:

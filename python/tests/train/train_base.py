@@ -85,11 +85,14 @@ def write_recording(
 
 
 class Linear(nn.Module):
-    """A 1x1 convolution from color and boxes to images, whose loss is another method than ``forward``."""
+    """A 1x1 convolution from color and boxes to images, or two with ``width`` channels between them."""
 
-    def __init__(self) -> None:
+    def __init__(self, width: int = 0, spare: bool = False) -> None:
         super().__init__()
-        self.inner = nn.Conv2d(6, 3, 1)
+        self.inner: nn.Module = nn.Conv2d(6, 3, 1)
+        if width:
+            self.inner = nn.Sequential(nn.Conv2d(6, width, 1), nn.Conv2d(width, 3, 1))
+        self.spare = nn.Parameter(torch.ones(2)) if spare else None  # without a gradient
         self.register_buffer("mean", torch.zeros(3))
         self.mean: Tensor
 
@@ -114,12 +117,15 @@ class TinyTask:
     """A task of two players; ``noise`` adds random numbers to inputs, ``fail`` makes it fail in a step."""
 
     def __init__(self, options: Mapping[str, Any], train: TrainOptions) -> None:
-        unknown = set(options) - {"noise", "fail", "step", "rank", "critic", "critic_start", "width"}
+        unknown = set(options) - {"noise", "fail", "step", "rank", "critic", "critic_start", "width", "spare"}
         if unknown:
             raise ValueError(f"expected options of the tiny network, found {sorted(unknown)[0]}")
         self.options = options
-        network, critic = Linear(), Critic()
-        groups = [{"params": [network.inner.weight]}, {"params": [network.inner.bias], "weight_decay": 0.0}]
+        network, critic = Linear(int(options.get("width", 0)), bool(options.get("spare"))), Critic()
+        matrices = [each for each in network.parameters() if each.ndim > 1]
+        vectors = [each for each in network.parameters() if each.ndim == 1]
+        groups: list[dict[str, Any]] = [{"params": matrices}, {"params": vectors, "weight_decay": 0.0}]
+        self.unused_parameters = bool(options.get("spare"))
         self.players = [Player("network", network, groups)]
         if options.get("critic"):
             group = {"params": list(critic.parameters()), "lr": 4e-4, "betas": (0.5, 0.99), "schedule": "constant"}
@@ -128,7 +134,8 @@ class TinyTask:
 
     def prepare(self, clips: Iterator[Clip]) -> None:
         values = torch.stack([clip.images.float().mean((0, 1, 3, 4)) for clip in islice(clips, 3)]) / 255
-        self.players[0].module.mean.copy_(values.mean(0))
+        network: Any = self.players[0].module
+        network.mean.copy_(values.mean(0))
         self.level = float(values.mean())
 
     def draw(self, clips: Sequence[Clip], step: int, seed: int, rank: int) -> Any:

@@ -14,6 +14,7 @@ from ...train.clip import Clip
 from ...train.config import TrainOptions
 from ...train.errors import DataError
 from ...train.task import Player
+from .._command import silence
 from .._rig import CameraNumbers, inverse
 from .base import expect_base
 from .checkpoint import load_start
@@ -55,6 +56,7 @@ def recipe(options: Mapping[str, Any]) -> Mapping[str, Any]:
 
 def task(options: Mapping[str, Any], train: TrainOptions) -> PasTask:
     """Create the task. Raises ``ValueError`` for unknown options, and for files that do not fit, which it names."""
+    silence()
     return PasTask(*parse(options), train)
 
 

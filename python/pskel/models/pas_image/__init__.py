@@ -1,8 +1,9 @@
 """The image variant of *Point as Skeleton*: Stable Diffusion 1.5 for several cameras and a window of two frames.
 
 No weights of it are published. ``pskel.train`` trains it (network ``pas-image``), ``load`` reads what was trained, and
-``Network`` predicts the noise of latents. ``Denoiser`` is the network with its autoencoder and text encoder (``Models``) as the
-function of ``pskel.ResetAndRoll``; ``python -m pskel.models.pas_image`` serves it to ``pskel simulate --generator process:..``.
+``Network`` predicts the noise of latents. ``Denoiser`` is the network with its autoencoder and text encoder
+(``Models``) as the function of ``pskel.ResetAndRoll``; ``python -m pskel.models.pas_image`` serves it to ``pskel
+simulate --generator process:..``.
 """
 
 import sys

@@ -1,4 +1,4 @@
-"""Denoiser process: `python -m pskel.models.pas_image --weights W.safetensors --base SD15_DIR` (docs/src/reference/pas.md)."""
+"""Denoiser process: `python -m pskel.models.pas_image --weights W --base SD15_DIR` (docs/src/reference/pas.md)."""
 
 from __future__ import annotations
 
@@ -33,9 +33,11 @@ def parser() -> argparse.ArgumentParser:
     """Return the parser of the options."""
     parser = argparse.ArgumentParser(
         prog=f"python -m {_PROGRAM}",
-        description="Serve the image variant of Point as Skeleton as a denoiser of pskel, on standard input and output.",
+        description="Serve the image variant of Point as Skeleton to pskel, on standard input and output.",
     )
-    parser.add_argument("--weights", required=True, metavar="FILE", help="weights.safetensors of a training of pas-image")
+    parser.add_argument(
+        "--weights", required=True, metavar="FILE", help="weights.safetensors of a training of pas-image"
+    )
     parser.add_argument(
         "--base",
         required=True,
@@ -49,7 +51,9 @@ def parser() -> argparse.ArgumentParser:
         metavar="T",
         help=f"noise level of reference frames, 0 (none) to 999 (default: {HISTORY_LEVEL}, as in the training)",
     )
-    parser.add_argument("--seed", type=_command.whole_number, default=0, metavar="N", help="seed of this noise (default: 0)")
+    parser.add_argument(
+        "--seed", type=_command.whole_number, default=0, metavar="N", help="seed of this noise (default: 0)"
+    )
     _command.add_options(parser)
     return parser
 

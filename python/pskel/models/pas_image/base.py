@@ -72,7 +72,9 @@ def _expect_same(config: Config, found: dict[str, Any], path: Path) -> None:
         if key.startswith("_") or key in _FREE or key not in found:
             continue
         if _plain(found[key]) != _plain(value):
-            raise ValueError(f"expected {key} {json.dumps(_plain(value))}, found {json.dumps(_plain(found[key]))[:60]}: {path}")
+            raise ValueError(
+                f"expected {key} {json.dumps(_plain(value))}, found {json.dumps(_plain(found[key]))[:60]}: {path}"
+            )
 
 
 def _plain(value: Any) -> Any:

@@ -36,7 +36,7 @@ class Window:
 
 
 class Adapter(nn.Module):
-    """Encodes condition maps as residuals of the UNet's down blocks (T2I-Adapter, arXiv:2302.08453), 0 before training."""
+    """Encodes condition maps as residuals of the UNet's down blocks, 0 before training (arXiv:2302.08453)."""
 
     def __init__(self, in_channels: int, config: Config) -> None:
         super().__init__()
@@ -73,8 +73,8 @@ class AcrossViews(_Across):
     def forward(self, x: Tensor, offset: Tensor, mask: Tensor | None) -> Tensor:
         """Return what is added to tokens ``x`` ``[B, T, V, h, w, C]``.
 
-        ``offset`` ``[B, T, V, C]`` is added to the normalized tokens. ``mask`` is ``bool [B, V, V]``, true where a camera
-        sees another.
+        ``offset`` ``[B, T, V, C]`` is added to the normalized tokens. ``mask`` is ``bool [B, V, V]``, true where a
+        camera sees another.
         """
         _, frames, _, rows, columns, channels = x.shape
         tokens = self.norm(x) + offset[:, :, :, None, None] + _positions(_fractions(columns, x.device), channels).to(x)
@@ -126,12 +126,11 @@ class WindowTransformer(nn.Module):
     ) -> Tensor:
         tokens = x.view(*shape, *x.shape[1:]).permute(0, 1, 2, 4, 5, 3)
         offset: Tensor = self.view(views)
-        tokens = tokens + self.across_views(tokens, offset, mask)
-        added: Tensor = self.across_frames(tokens, offset)
+        added: Tensor = self.across_views(tokens, offset, mask)
+        of_frames: Tensor = self.across_frames(tokens + added, offset)
         if single_frames is not None:
-            added = torch.where(single_frames.view(-1, *[1] * (added.ndim - 1)), 0.0, added)
-        images: Tensor = (tokens + added).permute(0, 1, 2, 5, 3, 4).reshape(x.shape)
-        return images
+            of_frames = torch.where(single_frames.view(-1, *[1] * (of_frames.ndim - 1)), 0.0, of_frames)
+        return x + (added + of_frames).permute(0, 1, 2, 5, 3, 4).reshape(x.shape)
 
 
 def _fractions(count: int, device: torch.device) -> Tensor:

@@ -63,7 +63,12 @@ def saved_tensors(tensors: Mapping[str, Tensor], config: Config) -> dict[str, Te
 
 def header(config: Config, training: Training) -> dict[str, str]:
     """Return the texts of a file's header."""
-    return {"format": _FORMAT, "version": _VERSION, "config": config.to_json(), "training": json.dumps(training._asdict())}
+    return {
+        "format": _FORMAT,
+        "version": _VERSION,
+        "config": config.to_json(),
+        "training": json.dumps(training._asdict()),
+    }
 
 
 def read_header(path: str | os.PathLike[str]) -> tuple[Config, Training]:
@@ -81,7 +86,9 @@ def read_header(path: str | os.PathLike[str]) -> tuple[Config, Training]:
         raise ValueError(f"expected a file of safetensors, found {error}: {source}") from error
     found = texts.get("format"), texts.get("version")
     if found != (_FORMAT, _VERSION):
-        raise ValueError(f"expected weights of {_FORMAT}, version {_VERSION}, found {found[0]}, version {found[1]}: {source}")
+        raise ValueError(
+            f"expected weights of {_FORMAT}, version {_VERSION}, found {found[0]}, version {found[1]}: {source}"
+        )
     try:
         return Config.parse(json.loads(texts["config"]), source), _training(json.loads(texts["training"]))
     except (KeyError, TypeError, json.JSONDecodeError) as error:
@@ -98,15 +105,17 @@ def load(
     """Read the weights of a network from a file of a training; returns it in evaluation mode.
 
     ``base``, a folder of Stable Diffusion 1.5, has the weights that were not trained. LoRA matrices become part of the
-    layers. Raises ``ValueError``, which names the file or folder, if tensors are missing, additional or of another shape, and
-    without ``base`` if it is needed; ``OSError`` if a file cannot be read.
+    layers. Raises ``ValueError``, which names the file or folder, if tensors are missing, additional or of another
+    shape, and without ``base`` if it is needed; ``OSError`` if a file cannot be read.
     """
     config, _ = read_header(path)
     tensors = load_file(path)
     unet = None
     if config.trained != "all":
         if base is None:
-            raise ValueError(f"expected the folder of Stable Diffusion 1.5 for weights of {config.trained}, found none: {path}")
+            raise ValueError(
+                f"expected the folder of Stable Diffusion 1.5 for weights of {config.trained}, found none: {path}"
+            )
         unet = load_unet(expect_base(base, with_unet=True), config)
     with torch.device("meta"):
         network = Network(config, unet)

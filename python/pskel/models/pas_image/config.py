@@ -12,7 +12,8 @@ __all__ = ["HISTORY_LEVEL", "LATENT_SCALE", "TINY", "Config", "Prediction", "Tra
 Prediction = Literal["epsilon", "velocity"]
 """Output of the network: the noise, or ``sqrt(a) noise - sqrt(1 - a) latents``."""
 Trained = Literal["all", "adapters", "lora"]
-"""Trained weights: all; the adapters, the blocks across cameras and frames, and the view embedding; these and LoRA matrices."""
+"""Trained weights: all; or the adapters, the blocks across cameras and frames, and the view embedding; or these and
+LoRA matrices."""
 
 LATENT_SCALE = 8
 """Pixels per latent, in height and width."""
@@ -66,11 +67,15 @@ class Config:
             raise ValueError(f"expected block_out_channels of at least 2 sizes, found {channels}")
         for name in ("attention_head_dim", "norm_num_groups"):
             if wrong := [count for count in channels if count < 1 or count % getattr(self, name)]:
-                raise ValueError(f"expected block_out_channels in multiples of {name} {getattr(self, name)}, found {wrong[0]}")
+                raise ValueError(
+                    f"expected block_out_channels in multiples of {name} {getattr(self, name)}, found {wrong[0]}"
+                )
         if self.zero_snr and self.prediction != "velocity":
             raise ValueError(f"expected prediction velocity with zero_snr, found {self.prediction}")
         if (self.trained == "lora") != (self.lora_rank > 0):
-            raise ValueError(f"expected lora_rank above 0 for trained lora alone, found {self.lora_rank} for {self.trained}")
+            raise ValueError(
+                f"expected lora_rank above 0 for trained lora alone, found {self.lora_rank} for {self.trained}"
+            )
 
     @property
     def time_channels(self) -> int:
@@ -109,7 +114,9 @@ class Config:
             default = cls()
             if unknown := [key for key in values if key not in vars(default)]:
                 raise ValueError(f"expected keys of the network, found {unknown[0]}")
-            return replace(default, **{key: _converted(vars(default)[key], value, key) for key, value in values.items()})
+            return replace(
+                default, **{key: _converted(vars(default)[key], value, key) for key, value in values.items()}
+            )
         except ValueError as error:
             raise ValueError(f"{error}: {source}") from None
 

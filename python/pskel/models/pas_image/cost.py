@@ -1,4 +1,4 @@
-"""Estimated memory and time of training and inference: `python -m pskel.models.pas_image.cost` (docs/src/reference/pas.md)."""
+"""Estimated memory and time: `python -m pskel.models.pas_image.cost` (docs/src/reference/pas.md)."""
 
 from __future__ import annotations
 
@@ -33,7 +33,8 @@ _TOKENS = 77
 _FROZEN_MODELS = 83_653_863 + 123_060_480
 """Parameters of Stable Diffusion 1.5's autoencoder and text encoder, in single precision."""
 _STATE, _STATE_8BIT, _FROZEN = 18, 12, 6
-"""Bytes of a trained weight: itself, gradient and two moments in f32 (or moments of 8 bits), copy in bf16; of a frozen one."""
+"""Bytes of a trained weight: itself, gradient and two moments in f32 (or moments of 8 bits), copy in bf16. Of a frozen
+one."""
 _KEY_FRAMES, _EPOCHS = 28_000, 200
 """Of the paper's training on nuScenes."""
 _MEASURED_STEPS = 3
@@ -91,9 +92,13 @@ def cost(trained: Trained, rank: int, config: Config = Config()) -> Cost:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Print the table of docs/src/reference/pas.md; returns the exit status, after an error in one line on standard error."""
-    parser = argparse.ArgumentParser(prog="python -m pskel.models.pas_image.cost", description=__doc__.split(":")[0] + ".")
-    parser.add_argument("--rate", type=float, default=200.0, metavar="T", help="10^12 operations per second (default: 200)")
+    """Print the table of docs/src/reference/pas.md; returns the exit status, after an error in one line."""
+    parser = argparse.ArgumentParser(
+        prog="python -m pskel.models.pas_image.cost", description=__doc__.split(":")[0] + "."
+    )
+    parser.add_argument(
+        "--rate", type=float, default=200.0, metavar="T", help="10^12 operations per second (default: 200)"
+    )
     parser.add_argument("--tiny", action="store_true", help="the sizes of the tests")
     parser.add_argument("--measure", action="store_true", help="also take steps with random weights on a GPU")
     options = parser.parse_args(arguments)
@@ -125,14 +130,19 @@ def _rows(costs: Sequence[Cost], rate: float) -> Iterator[tuple[str, list[str]]]
     yield "with moments of 8 bits", [f"{c.state_bytes_8bit / 1e9:.1f} GB" for c in costs]
     yield "activations per clip", [f"{c.activation_bytes / 1e9:.1f} GB" for c in costs]
     yield "with `checkpointing`", [f"{c.checkpointed_bytes / 1e9:.1f} GB" for c in costs]
-    yield "sum for 1 clip; 4 clips", [
-        "; ".join(f"{(c.state_bytes + clips * c.activation_bytes) / 1e9:.0f} GB" for clips in (1, 4)) for c in costs
-    ]
-    yield "operations per clip; with `checkpointing`", [
-        f"{c.step_operations / 1e12:.1f} T; {(c.step_operations + c.call_operations) / 1e12:.1f} T" for c in costs
-    ]
+    yield (
+        "sum for 1 clip; 4 clips",
+        ["; ".join(f"{(c.state_bytes + clips * c.activation_bytes) / 1e9:.0f} GB" for clips in (1, 4)) for c in costs],
+    )
+    yield (
+        "operations per clip; with `checkpointing`",
+        [f"{c.step_operations / 1e12:.1f} T; {(c.step_operations + c.call_operations) / 1e12:.1f} T" for c in costs],
+    )
     yield f"time per clip at {rate:g} T/s", [f"{each:.3f} s" for each in seconds]
-    yield f"the paper's {_EPOCHS} epochs on nuScenes", [f"{_EPOCHS * _KEY_FRAMES * each / 86400:.1f} days" for each in seconds]
+    yield (
+        f"the paper's {_EPOCHS} epochs on nuScenes",
+        [f"{_EPOCHS * _KEY_FRAMES * each / 86400:.1f} days" for each in seconds],
+    )
     yield f"operations per planning step, {calls} calls", [f"{calls * c.call_operations / 1e12:.0f} T" for c in costs]
 
 

@@ -52,8 +52,8 @@ class Models:
     ) -> Models:
         """Read the weights of a training and a folder of Stable Diffusion 1.5.
 
-        Network and text encoder are of type ``dtype``, the autoencoder is in single precision. Raises ``ValueError``, which
-        names the file or folder, if they cannot be read or do not fit each other, and ``OSError``.
+        Network and text encoder are of type ``dtype``, the autoencoder is in single precision. Raises ``ValueError``,
+        which names the file or folder, if they cannot be read or do not fit each other, and ``OSError``.
         """
         config, training = read_header(weights)
         folder = expect_base(base, with_unet=config.trained != "all")
@@ -66,14 +66,14 @@ class Models:
 class Denoiser:
     """Predicts noise (or velocities) for the windows of a log, and encodes and decodes its images.
 
-    A ``Denoiser`` is the function of ``pskel.ResetAndRoll`` with ``sampler="ddim"`` and the ``prediction`` of the network's
-    configuration; its conditions are ``FrameCondition``. Encoded conditions of ``cached_frames`` frames remain on the
-    device, found by their content: calls give the same result, bit for bit, with any number.
+    A ``Denoiser`` is the function of ``pskel.ResetAndRoll`` with ``sampler="ddim"`` and the ``prediction`` of the
+    network's configuration; its conditions are ``FrameCondition``. Encoded conditions of ``cached_frames`` frames
+    remain on the device, found by their content: calls give the same result, bit for bit, with any number.
 
-    Reference frames are clean in the loop, but slightly noisy in the training: they get noise of ``history_level`` (0 for
-    none), which depends on their content and ``seed`` alone. Their conditions are marked by ``is_reference``. With
-    ``is_causal``, for the strategy ``causal``, all frames but the last are references. Those that the loop has already made
-    noisy (``history_noise``) remain as they are.
+    Reference frames are clean in the loop, but slightly noisy in the training: they get noise of ``history_level`` (0
+    for none), which depends on their content and ``seed`` alone. Their conditions are marked by ``is_reference``. With
+    ``is_causal``, for the strategy ``causal``, all frames but the last are references. Those that the loop has already
+    made noisy (``history_noise``) remain as they are.
     """
 
     def __init__(
@@ -118,8 +118,8 @@ class Denoiser:
     ) -> _Array:
         """Predict the noise (or velocity) ``float32 [L, V, C, h, w]`` of a noisy window.
 
-        ``timesteps`` ``[L]`` are 0 to 999; ``sigmas`` follow from them and are not used themselves. Raises ``ValueError`` for
-        arrays of other shapes, a window of less than 2 frames, and a prediction that is not finite.
+        ``timesteps`` ``[L]`` are 0 to 999; ``sigmas`` follow from them and are not used themselves. Raises
+        ``ValueError`` for arrays of other shapes, a window of less than 2 frames, and a prediction that is not finite.
         """
         sample, levels = as_tensor(latents), as_tensor(timesteps)
         self._expect_window(sample, levels, conditions)
@@ -162,9 +162,7 @@ class Denoiser:
         size = conditions[0].layout.array.shape[2:]
         expect_window(sample, levels, conditions, self.latent_shape(size), size)
 
-    def _perturbed(
-        self, sample: Tensor, levels: Tensor, conditions: Sequence[FrameCondition]
-    ) -> tuple[Tensor, Tensor]:
+    def _perturbed(self, sample: Tensor, levels: Tensor, conditions: Sequence[FrameCondition]) -> tuple[Tensor, Tensor]:
         """Add noise to references; returns latents ``[L, ..]`` and the network's levels ``[L]``."""
         timesteps = self._schedule.of_loop(levels.tolist())
         last = len(conditions) - 1

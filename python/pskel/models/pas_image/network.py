@@ -38,14 +38,16 @@ class Conditions(NamedTuple):
     def concatenate(cls, parts: Sequence[Conditions], dim: int) -> Conditions:
         """Join conditions of clips (``dim=0``) or of frames (``dim=1``)."""
         residuals, text, view = zip(*parts)
-        return cls(tuple(torch.cat(block, dim) for block in zip(*residuals)), torch.cat(text, dim), torch.cat(view, dim))
+        return cls(
+            tuple(torch.cat(block, dim) for block in zip(*residuals)), torch.cat(text, dim), torch.cat(view, dim)
+        )
 
 
 class Inputs:
     """Noisy latents and conditions of B clips, with which the network is called in training.
 
-    A class of its own, not a tuple of tensors: FSDP rounds tensors among the arguments to half precision, but timesteps and
-    ``ids`` need more digits.
+    A class of its own, not a tuple of tensors: FSDP rounds tensors among the arguments to half precision, but timesteps
+    and ``ids`` need more digits.
     """
 
     def __init__(
@@ -75,8 +77,8 @@ class Network(nn.Module):
 
     Frames and cameras are items of the UNet's batch, each with its own level. Blocks across cameras and frames, the
     adapters and the view embedding add 0 before training, so that a new network is Stable Diffusion 1.5. All inputs are
-    converted to the device and, except timesteps and ``ids``, to the type of the parameters. Sources: *Point as Skeleton*;
-    Stable Diffusion, arXiv:2112.10752; T2I-Adapter, arXiv:2302.08453.
+    converted to the device and, except timesteps and ``ids``, to the type of the parameters. Sources: *Point as
+    Skeleton*; Stable Diffusion, arXiv:2112.10752; T2I-Adapter, arXiv:2302.08453.
     """
 
     _no_split_modules: ClassVar[list[str]] = ["WindowTransformer", "ResnetBlock2D", "AdapterBlock"]
@@ -109,11 +111,11 @@ class Network(nn.Module):
         self._window.checkpoint_activations = True
 
     def encode_layout(self, layout: Tensor) -> tuple[Tensor, ...]:
-        """Encode ``layout`` ``[B, T, V, 6, H, W]`` (RGB of 0 to 1); returns residuals ``[B, T, V, C, h, w]`` per down block."""
+        """Encode boxes and map ``[B, T, V, 6, H, W]``, 0 to 1, as residuals ``[B, T, V, C, h, w]`` of the down blocks."""
         return self._residuals(self.layout_adapter, self._converted(layout))
 
     def encode_points(self, points: Tensor) -> tuple[Tensor, ...]:
-        """Encode ``points`` ``[B, T, V, 20, H, W]``: color of 0 to 1, depth of 0 to 1 or -1, its sines and cosines, or 0."""
+        """Encode points ``[B, T, V, 20, H, W]``: color, 0 to 1; depth, 0 to 1 or -1; its sines and cosines, or 0."""
         maps = self._converted(points)
         maps = torch.cat([maps[:, :, :, :_COLOR_CHANNELS], _DEPTH_SCALE * maps[:, :, :, _COLOR_CHANNELS:]], dim=3)
         return self._residuals(self.point_adapter, maps)
@@ -152,7 +154,12 @@ class Network(nn.Module):
         return self._denoised(inputs, timestep, conditions, mask, None)
 
     def _denoised(
-        self, sample: Tensor, timestep: Tensor, conditions: Conditions, mask: Tensor | None, single_frames: Tensor | None
+        self,
+        sample: Tensor,
+        timestep: Tensor,
+        conditions: Conditions,
+        mask: Tensor | None,
+        single_frames: Tensor | None,
     ) -> Tensor:
         clips, frames, views = sample.shape[:3]
         for name, found, expected in (
@@ -177,7 +184,7 @@ class Network(nn.Module):
             )[0]
         finally:
             window.views = window.mask = window.single_frames = None
-        return noise.view(sample.shape)
+        return noise.view(sample.shape).clone()  # FSDP warns of views
 
     def _residuals(self, adapter: nn.Module, maps: Tensor) -> tuple[Tensor, ...]:
         images = maps.flatten(0, 2)

@@ -1,4 +1,4 @@
-"""Conditions and loops that the network is trained and run with: ``--recipe pas-image-nuscenes`` and ``pas-image-nuplan``."""
+"""Conditions and loops of training and inference: ``--recipe pas-image-nuscenes`` and ``pas-image-nuplan``."""
 
 from __future__ import annotations
 

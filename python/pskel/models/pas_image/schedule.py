@@ -1,4 +1,4 @@
-"""Noise levels of Stable Diffusion: ``x = sqrt(a) latents + sqrt(1 - a) noise``, with ``a`` of a table of 1000 timesteps."""
+"""Noise levels of Stable Diffusion: ``x = sqrt(a) latents + sqrt(1 - a) noise``, ``a`` of a table of 1000 timesteps."""
 
 from __future__ import annotations
 
@@ -74,9 +74,10 @@ class Schedule:
 
 
 def inference_timesteps(steps: int, zero_snr: bool = False) -> list[int]:
-    """Return the timesteps of inference steps, descending: those of ``--sampler ddim_..``; with ``zero_snr``, from the last one.
+    """Return the timesteps of inference steps, descending.
 
-    Raises ``ValueError`` for a number of steps that is not between 1 and 1000.
+    They are those of ``--sampler ddim_..``; with ``zero_snr``, they begin at the last one of the table. Raises
+    ``ValueError`` for a number of steps that is not between 1 and 1000.
     """
     if not 1 <= steps <= TIMESTEPS:
         raise ValueError(f"expected inference steps of 1 to {TIMESTEPS}, found {steps}")

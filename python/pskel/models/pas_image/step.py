@@ -1,4 +1,4 @@
-"""The training step: network inputs and loss of a batch, as a function of explicit draws. Nothing is drawn here but in ``Draws``.
+"""The training step: network inputs and loss of a batch, as a function of explicit draws.
 
 In a share of the clips the frames before the last are those of a rollout: slightly noisy, and without loss (*Point as
 Skeleton*). In the others every frame has a level of its own (diffusion forcing, arXiv:2407.01392), as in a roll.
@@ -21,7 +21,17 @@ from .config import Config
 from .network import Inputs
 from .schedule import TIMESTEPS, Schedule
 
-__all__ = ["DROPPABLE", "Draws", "StepOptions", "Targets", "conditioned", "errors_of", "levels_of", "loss_of", "noisy_inputs"]
+__all__ = [
+    "DROPPABLE",
+    "Draws",
+    "StepOptions",
+    "Targets",
+    "conditioned",
+    "errors_of",
+    "levels_of",
+    "loss_of",
+    "noisy_inputs",
+]
 
 DROPPABLE = ("text", "boxes", "map", "action", "depth", "color", "single_frames")
 """Parts of the conditions that a clip may be without; the last is attention across frames."""
@@ -29,7 +39,7 @@ DROPPABLE = ("text", "boxes", "map", "action", "depth", "color", "single_frames"
 
 @dataclass(frozen=True)
 class StepOptions:
-    """Probabilities and levels. Raises ``ValueError`` for a probability that is not between 0 and 1, and for other levels."""
+    """Probabilities and levels. Raises ``ValueError`` for a probability that is not 0 to 1, and for other levels."""
 
     previous_share: float = 0.5
     """Share of clips whose frames before the last are nearly clean, and without loss."""
@@ -61,7 +71,7 @@ class StepOptions:
 
 
 class Draws(NamedTuple):
-    """All random numbers of a step over B clips with T frames; the first two are normal, the others uniform from 0 to 1."""
+    """All random numbers of a step over B clips with T frames: the first two normal, the others uniform from 0 to 1."""
 
     posterior_noise: Tensor
     """Of the autoencoder's posterior, ``[B, T, V, C, h, w]``."""
@@ -131,9 +141,10 @@ def levels_of(draws: Draws, options: StepOptions) -> tuple[Tensor, Tensor]:
 def conditioned(
     batch: Batch, text: Tensor, sample: Tensor, timestep: Tensor, dropped: Mapping[str, Tensor], config: Config
 ) -> Inputs:
-    """Return the network's inputs for noisy latents ``sample`` ``[B, T, V, C, h, w]`` at levels ``timestep`` ``[B, T]``.
+    """Return the network's inputs for latents ``sample`` ``[B, T, V, C, h, w]`` at levels ``timestep`` ``[B, T]``.
 
-    ``text`` are the tokens of the batch's texts, ``[N, S, D]``. ``dropped`` are, ``bool [B]`` each, the clips without each of ``DROPPABLE``.
+    ``text`` are the tokens of the batch's texts, ``[N, S, D]``. ``dropped`` are, ``bool [B]`` each, the clips without
+    each of ``DROPPABLE``.
     """
     caption = torch.where(_per_clip(dropped["text"], 3), 0, batch.caption)
     bins = torch.where(_per_clip(dropped["depth"], 5), 0, batch.bins)

@@ -50,7 +50,7 @@ class TaskOptions:
     depth: str = "continuous"
     """See ``Config``."""
     checkpointing: bool = False
-    """Whether blocks are computed again in the backward pass: a quarter of the memory for activations, a third more time."""
+    """Whether blocks are computed again in the backward pass, which saves memory and takes a third more time."""
     image_batch: int = 12
     """Images that the autoencoder encodes at a time."""
     infer_steps: int = 20
@@ -98,7 +98,7 @@ def task(options: Mapping[str, Any], train: TrainOptions) -> ImageTask:
 
 
 class ImageTask:
-    """Trains the network on clips; autoencoder and text encoder are frozen, and on the device from the first loss on."""
+    """Trains the network. Autoencoder and text encoder are frozen, and on the device from the first loss on."""
 
     def __init__(self, options: TaskOptions, step: StepOptions = StepOptions()) -> None:
         silence()
@@ -152,7 +152,7 @@ class ImageTask:
         return torch.stack([torch.cat(list(row), dim=-1) for row in rows])
 
     def scores(self, clip: Clip, modules: Mapping[str, nn.Module]) -> dict[str, float]:
-        """Return the loss with fixed draws, and the peak signal-to-noise ratio of the last frame, generated from the others."""
+        """Return the loss with fixed draws, and the PSNR of the last frame, generated from the others."""
         network = modules[_NETWORK]
         device = next(network.parameters()).device
         self._move(device)
@@ -200,7 +200,7 @@ class ImageTask:
         return self._text.encode_all(batch.texts).to(batch.images.device)
 
     def _generated(self, clip: Clip, network: nn.Module) -> Tensor:
-        """Generate the last frame from the recorded ones before it; returns images ``float32 [V, 3, H, W]`` in main memory."""
+        """Generate the last frame from the recorded ones; returns images ``float32 [V, 3, H, W]`` in main memory."""
         device = next(network.parameters()).device
         self._move(device)
         batch = _collated([clip], self.config).to(device)
@@ -212,7 +212,10 @@ class ImageTask:
             sample = self.schedule.noisy(sample, draws.noise, previous)
         sample[:, -1] = draws.noise[:, -1]
         never = torch.zeros(1, dtype=torch.bool, device=device)
-        halves = [dict.fromkeys(DROPPABLE, never), {part: never if part not in _GUIDED else ~never for part in DROPPABLE}]
+        halves = [
+            dict.fromkeys(DROPPABLE, never),
+            {part: never if part not in _GUIDED else ~never for part in DROPPABLE},
+        ]
         levels = inference_timesteps(options.infer_steps, self.config.zero_snr)
         for level, after in zip(levels, [*levels[1:], 0]):
             timesteps = previous.clone()

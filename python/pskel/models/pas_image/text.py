@@ -37,7 +37,13 @@ class TextEncoder:
 
     @classmethod
     def load(
-        cls, base: Path, *, channels: int, dtype: torch.dtype = torch.float32, device: str | torch.device = "cpu", cached: int = 1024
+        cls,
+        base: Path,
+        *,
+        channels: int,
+        dtype: torch.dtype = torch.float32,
+        device: str | torch.device = "cpu",
+        cached: int = 1024,
     ) -> TextEncoder:
         """Read the encoder and its tokenizer from a folder of Stable Diffusion 1.5.
 

@@ -101,6 +101,8 @@ def _expect_fit(clip: Clip, first: Clip, config: Config) -> None:
     unit = LATENT_SCALE * config.patch_size
     if height % unit or width % unit:
         raise ValueError(f"expected height and width in multiples of {unit}, found {height}x{width}: {name}")
+    if int(clip.bins.max()) > _bin_count(clip):
+        raise ValueError(f"expected depth bins of at most {_bin_count(clip)}, found {int(clip.bins.max())}: {name}")
     for what, expected, found in (
         ("images", list(first.images.shape), list(clip.images.shape)),
         ("cameras", sorted(first.names), sorted(clip.names)),

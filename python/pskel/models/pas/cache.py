@@ -1,3 +1,0 @@
-"""Moved to ``pskel.models._cache``."""
-
-from .._cache import *  # noqa: F401, F403

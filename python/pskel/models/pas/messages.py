@@ -1,3 +1,0 @@
-"""Moved to ``pskel.models._messages``."""
-
-from .._messages import *  # noqa: F401, F403
