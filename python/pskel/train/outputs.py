@@ -37,7 +37,8 @@ def claim_folder(folder: Path, *, resume: bool) -> BinaryIO:
     except OSError as error:
         raise TrainError(f"the output folder cannot be written: {error.strerror}: {folder}") from error
     try:
-        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        # A lock of this process alone: workers, which are forked, outlive a killed process for seconds.
+        fcntl.lockf(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError:
         lock.seek(0)
         owner = lock.read().decode(errors="replace").strip()

@@ -10,8 +10,8 @@ from pas_clips import clip
 from pskel.models._adamw8bit import AdamW8bit
 from pskel.models.pas.task import PasTask, task
 from pskel.train.config import TrainOptions
-from torch.distributed.device_mesh import init_device_mesh
-from torch.distributed.fsdp import fully_shard
+from pskel.train.parallel import Processes, shard_module
+from torch.distributed.fsdp import FSDPModule
 
 STEPS = 2
 CPU = torch.device("cpu")
@@ -56,10 +56,8 @@ def run(rank: int, options: dict[str, Any], folder: str) -> None:
         if kind == "ddp":
             step: torch.nn.Module = torch.nn.parallel.DistributedDataParallel(Step(of), broadcast_buffers=False)
         else:
-            mesh = init_device_mesh("cpu", (2,))
-            for block in of.network.blocks():
-                fully_shard(block, mesh=mesh)
-            fully_shard(of.network, mesh=mesh)
+            shard_module(of.network, Processes(rank, 2, CPU))
+            found["units"] = sorted(type(part).__name__ for part in of.network.modules() if isinstance(part, FSDPModule))
             step = Step(of)
         kinds: Any = AdamW8bit if kind == "fsdp8" else torch.optim.AdamW
         count = 1 if kind == "fsdp8" else STEPS

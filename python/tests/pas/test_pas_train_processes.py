@@ -13,7 +13,7 @@ if not torch.distributed.is_available() or not torch.distributed.is_gloo_availab
     pytest.skip("PyTorch has no gloo", allow_module_level=True)
 from pas_base import write_base  # noqa: E402
 from pas_clips import clip, narrow_posterior, write_sizes  # noqa: E402
-from pas_processes import STEPS, Step, create, run, steps  # noqa: E402
+from pas_processes import STEPS, Step, create, run  # noqa: E402
 
 
 @pytest.fixture(scope="module", params=["all", "points+lora:2"])
@@ -26,7 +26,7 @@ def results(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFac
     of = create(options)
     optimizer = torch.optim.AdamW(of.players[0].groups, lr=1e-3)
     for count in range(1, STEPS + 1):
-        found.setdefault("losses", []).extend(one_step(of, optimizer, count - 1))
+        found.setdefault("losses", []).append(one_step(of, optimizer, count - 1))
         found[f"one {count}"] = {name: tensor.detach().clone() for name, tensor in weights_of(of).items()}
     found["start"] = weights_of(create(options))
     torch.multiprocessing.spawn(run, (options, str(folder)), nprocs=2)
@@ -34,12 +34,12 @@ def results(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFac
     return found
 
 
-def one_step(of: Any, optimizer: Any, number: int) -> list[float]:
+def one_step(of: Any, optimizer: Any, number: int) -> float:
     loss = Step(of)(of.draw([clip(0), clip(1)], number, 0, 0))
     torch.autograd.backward(loss)
     optimizer.step()
     optimizer.zero_grad()
-    return [float(loss.detach())]
+    return float(loss.detach())
 
 
 def weights_of(of: Any) -> Any:
@@ -78,8 +78,11 @@ def expect_close(found: Any, expected: Any, start: Any) -> None:
     assert moved > 0.05 * total and wrong < 1e-4 * moved, (moved, wrong, total)
 
 
-def test_steps_of_processes_are_those_of_the_harness() -> None:
-    """The helper above and the harness wrap the same module."""
-    from pskel.train.parallel import shard_module
-
-    assert "_no_split_modules" in (shard_module.__doc__ or "") and steps.__doc__ is None
+def test_blocks_are_sharded_one_by_one(results: dict[str, Any]) -> None:
+    """The tiny network has two joint blocks, and one each over cameras and frames; the rest is a unit, too."""
+    for rank in results["ranks"]:
+        assert rank["units"] == [
+            *["FSDPJointTransformerBlock"] * 2,
+            *["FSDPSelfAttentionBlock"] * 2,
+            "FSDPTrainedNetwork",
+        ]

@@ -6,6 +6,8 @@ import re
 import resource
 import shutil
 import signal
+import subprocess
+import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -155,12 +157,14 @@ def test_output_folders_are_checked(tmp_path: Path, clip: Path) -> None:
     run(file, "--data", clip, "--out", out)
     before = (out / "loss.csv").read_bytes()
     assert "pass --resume to continue it" in failure(file, "--data", clip, "--out", out)
-    import fcntl
-
-    with open(out / ".lock", "r+b") as lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)
-        text = failure(file, "--data", clip, "--out", out, "--resume")
-        assert f"the output folder is in use by process {os.getpid()}: {out}" in text
+    program = "import fcntl, sys; file = open(sys.argv[1], 'r+b'); fcntl.lockf(file, fcntl.LOCK_EX); print(1); input()"
+    other = subprocess.Popen(
+        [sys.executable, "-c", program, out / ".lock"], stdin=-1, stdout=subprocess.PIPE, text=True
+    )
+    assert other.stdout is not None and other.stdout.readline() == "1\n"
+    text = failure(file, "--data", clip, "--out", out, "--resume")
+    assert f"the output folder is in use by process {os.getpid()}: {out}" in text  # which had it before
+    other.communicate("\n", timeout=60)
     assert (out / "loss.csv").read_bytes() == before
     assert "cannot be written: Not a directory" in failure(file, "--data", clip, "--out", clip / "out")
 

@@ -166,7 +166,10 @@ def of_two(tmp_path_factory: pytest.TempPathFactory) -> Path:
     texts = json.dumps([[str(part) for part in [*arguments, *data]] for arguments in runs])
     done = run_two(Path(__file__).with_name("train_base.py"), texts, port=PORT)
     assert [each.returncode for each in done] == [0, 0], done
-    assert "step 6/6" in done[0].stderr and done[1].stderr == "", done[1].stderr
+    assert "step 6/6" in done[0].stderr
+    # PyTorch warns where unused parameters are allowed and a player has none.
+    lines = [line for line in done[1].stderr.splitlines() if "find_unused_parameters" not in line]
+    assert lines == [], done[1].stderr
     return folder
 
 
@@ -211,7 +214,7 @@ def test_sharded_modules_resume(of_two: Path) -> None:
 
 
 def test_a_parameter_without_a_gradient_is_not_changed(of_two: Path) -> None:
-    assert_same(of_two / "spare", of_two / "plain")
+    assert_same(of_two / "plain", of_two / "spare")
     assert weights_of(of_two / "spare")["spare"].tolist() == [1, 1]
 
 

@@ -34,7 +34,3 @@ class TrainedNetwork(nn.Module):
             inputs.sample, inputs.timestep, conditions, inputs.mask, disable_temporal=inputs.single_frames
         )
         return velocity
-
-    def blocks(self) -> list[nn.Module]:
-        """Modules to shard one by one, as ``torch.distributed.fsdp.fully_shard`` takes them, inner before outer."""
-        return [module for module in self.modules() if type(module).__name__ in self._no_split_modules]
