@@ -1,12 +1,12 @@
 """AdamW with moments of 8 bits, and weights in single precision for parameters in half precision.
 
-*8-bit Optimizers via Block-wise Quantization* (arXiv:2110.02861): blocks of 256 numbers share a scale, and the levels are those of
-the paper's dynamic map. Rounding to the nearest level would stop second moments: with beta 0.999 a step changes them by less than the
-distance of two levels. Here a number takes one of its two neighbors, so that the mean is right. Which one depends on step and place
-alone: a training repeats bit by bit.
+*8-bit Optimizers via Block-wise Quantization* (arXiv:2110.02861): blocks of 256 numbers share a scale, and the levels
+are those of the paper's dynamic map. Rounding to the nearest level would stop second moments: with beta 0.999 a step
+changes them by less than the distance of two levels. Here a number takes one of its two neighbors, so that the mean
+is right. Which one depends on step and place alone: a training repeats bit by bit.
 
-torchao's optimizer, the alternative, rounds to the nearest level, compiles its step on first use, and saves tensors of a class of its
-own, which a process that has not imported torchao cannot read.
+torchao's optimizer, the alternative, rounds to the nearest level, compiles its step on first use, and saves tensors
+of a class of its own, which a process that has not imported torchao cannot read.
 """
 
 from __future__ import annotations
@@ -32,8 +32,9 @@ _WORD, _FACTOR, _SPREAD = 0xFFFFFFFF, 0x45D9F3B, 2654435769
 class AdamW8bit(torch.optim.Optimizer):
     """AdamW (arXiv:1711.05101) with 2 bytes of moments per parameter, and 4 more for one in half precision.
 
-    Computes what ``torch.optim.AdamW`` does, up to the rounding of the moments. Parameters in half precision are the rounded values
-    of weights in ``float32``, which the state has. Sharded parameters (``DTensor``) are stepped in parts; blocks do not cross them.
+    Computes what ``torch.optim.AdamW`` does, up to the rounding of the moments. Parameters in half precision are the
+    rounded values of weights in ``float32``, which the state has. Sharded parameters (``DTensor``) are stepped in
+    parts; blocks do not cross them.
     """
 
     def __init__(
@@ -66,7 +67,8 @@ class AdamW8bit(torch.optim.Optimizer):
         for number, values in state_dict["state"].items():
             device = parameters[number].device
             self.state[parameters[number]] = {
-                key: value.to(device, copy=True) if isinstance(value, Tensor) else value for key, value in values.items()
+                key: value.to(device, copy=True) if isinstance(value, Tensor) else value
+                for key, value in values.items()
             }
 
     def _update(self, parameter: Tensor, group: dict[str, Any]) -> None:
@@ -120,7 +122,7 @@ def _read(state: dict[str, Any], name: str) -> Tensor:
     codes = _local(state[name])
     if codes.dtype is not torch.uint8:
         return codes.clone()
-    values = _levels(signed=name == "first").to(codes.device)[codes.int()]
+    values = _levels(codes.device, signed=name == "first")[codes.int()]
     return _scaled(values, _local(state[f"{name}_scale"]))
 
 
@@ -135,7 +137,7 @@ def _write(state: dict[str, Any], name: str, values: Tensor) -> None:
     scale = _maxima(values)
     _local(state[f"{name}_scale"]).copy_(scale)
     relative = _scaled(values, torch.where(scale > 0, 1.0 / scale, 0.0))
-    levels = _levels(signed=signed).to(codes.device)
+    levels = _levels(codes.device, signed=signed)
     lower = torch.bucketize(relative, levels, right=True, out_int32=True).sub_(1).clamp_(0, len(levels) - 2)
     low, high = levels[lower], levels[lower + 1]
     is_upper = _dither(len(relative), state["step"], codes.device, signed=signed) < (relative - low) / (high - low)
@@ -145,22 +147,22 @@ def _write(state: dict[str, Any], name: str, values: Tensor) -> None:
     codes.copy_(lower + is_upper)
 
 
-@lru_cache(maxsize=2)
-def _levels(*, signed: bool) -> Tensor:
+@lru_cache(maxsize=8)
+def _levels(device: torch.device, *, signed: bool) -> Tensor:
     """The 256 levels, increasing up to 1: 0, and in each decade below 1 twice as many as in the next lower one."""
     parts = [torch.tensor([0.0, 1.0], dtype=torch.float64)]
     for decade in range(_DECADES):
         bounds = torch.linspace(0.1, 1.0, 2**decade * (1 if signed else 2) + 1, dtype=torch.float64)
         centers = (bounds[:-1] + bounds[1:]) / 2 * 10.0 ** (decade + 1 - _DECADES)
         parts += [centers, -centers] if signed else [centers]
-    return torch.cat(parts).sort().values.float()
+    return torch.cat(parts).sort().values.to(device, torch.float32)
 
 
 def _dither(count: int, step: int, device: torch.device, *, signed: bool) -> Tensor:
     """Random numbers from 0 to below 1, ``float32 [count]``: a hash of place, step and moment, the same on all devices.
 
-    A low-discrepancy sequence in its place left second moments 3 % too small: each place has to be independent from step to
-    step.
+    A low-discrepancy sequence in its place left second moments 3 % too small: each place has to be independent from
+    step to step.
     """
     numbers = torch.arange(count, device=device, dtype=torch.int64)
     numbers ^= (2 * step + signed) * _SPREAD & _WORD

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
@@ -71,7 +71,8 @@ class FrameCondition:
     """Motion of the ego since the previous frame: forward, left (m), yaw (rad)."""
     cameras: _Array
     """``[V, 16]``: upper three rows of ``ego_from_camera``, focal lengths and principal point over width and height."""
-    prompt: str = ""
+    prompt: str | tuple[str, ...] = ""
+    """Text of all cameras, or of each."""
     is_reference: bool = False
     """Whether the frame is finished, so that its prediction is not used. The video network ignores it."""
 
@@ -82,13 +83,13 @@ class FrameCondition:
         layout: npt.ArrayLike,
         action: npt.ArrayLike,
         cameras: npt.ArrayLike,
-        prompt: str = "",
+        prompt: str | Sequence[str] = "",
         is_reference: bool = False,
     ) -> FrameCondition:
         """Copy arrays of the denoiser protocol, of one frame.
 
         ``points`` may have more than 4 channels; the network ignores the others. Raises ``ValueError`` for
-        arrays of other shapes.
+        arrays of other shapes, and for other than one prompt or one per camera.
         """
         point_maps, layout_maps = numbers(points), numbers(layout)
         motion, poses = numbers(action).astype(np.float32), numbers(cameras).astype(np.float32)
@@ -102,8 +103,16 @@ class FrameCondition:
         for name, array, shape in (("action", motion, (3,)), ("cameras", poses, (*views, 16))):
             if array.shape != shape:
                 raise ValueError(f"expected {name} of {list(shape)}, found {list(array.shape)}")
+        texts = prompt if isinstance(prompt, str) else tuple(prompt)
+        if not isinstance(texts, str) and len(texts) != len(layout_maps):
+            raise ValueError(f"expected a prompt, or one for each of {len(layout_maps)} cameras, found {len(texts)}")
         maps = ConditionMaps(point_maps[:, :POINT_CHANNELS]), ConditionMaps(layout_maps)
-        return cls(*maps, motion, poses, prompt, is_reference)
+        return cls(*maps, motion, poses, texts, is_reference)
+
+    @property
+    def prompts(self) -> tuple[str, ...]:
+        """Text of each camera."""
+        return (self.prompt,) * len(self.cameras) if isinstance(self.prompt, str) else self.prompt
 
     @classmethod
     def from_scene(
@@ -111,7 +120,7 @@ class FrameCondition:
         scene: Scene,
         maps: Mapping[str, Any],
         previous: npt.ArrayLike | None = None,
-        prompt: str = "",
+        prompt: str | Sequence[str] = "",
         is_reference: bool = False,
     ) -> FrameCondition:
         """Describe a scene by its maps, as rendered by ``Renderer(.., maps=["tensor"])``.

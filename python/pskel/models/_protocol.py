@@ -158,8 +158,9 @@ def _conditions(hello: Hello, shape: tuple[int, ...], message: Message) -> list[
     for name, expected in zip(_TENSORS, shapes):
         _expect_shape(tensors, name, expected)
     prompts = _list(texts, "prompts", "the call")
-    if len(prompts) != frames or not all(isinstance(prompt, str) for prompt in prompts):
-        raise ValueError(f"expected prompts as a list of {frames} texts in the call, found {texts['prompts'][:200]}")
+    if len(prompts) != frames or not all(_is_prompt(prompt, views) for prompt in prompts):
+        kinds = f"prompts as a list of {frames} texts, or of lists of {views} texts"
+        raise ValueError(f"expected {kinds}, in the call, found {texts['prompts'][:200]}")
     references = _list(texts, "references", "the call") if "references" in texts else [False] * frames
     if len(references) != frames or not all(isinstance(reference, bool) for reference in references):
         raise ValueError(
@@ -195,6 +196,12 @@ def _list(texts: Mapping[str, str], name: str, where: str = "the hello") -> list
 
 def _is_size(value: Any) -> bool:
     return isinstance(value, list) and len(value) == 2 and all(type(side) is int and side > 0 for side in value)
+
+
+def _is_prompt(value: Any, views: int) -> bool:
+    """Whether a value is a text for all cameras, or one for each."""
+    is_list = isinstance(value, list) and len(value) == views and all(isinstance(text, str) for text in value)
+    return isinstance(value, str) or is_list
 
 
 def _joined(numbers: tuple[int, ...]) -> str:

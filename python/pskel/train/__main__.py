@@ -73,6 +73,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if not error.of_all or os.environ.get("RANK", "0") == "0":
             print(f"{PROGRAM}: {error}", file=sys.stderr)
         return 1
+    except OSError as error:
+        print(f"{PROGRAM}: {error}", file=sys.stderr)
+        return 1
     return 0
 
 

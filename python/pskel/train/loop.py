@@ -126,7 +126,7 @@ class _Run:
         if resume:
             self.progress.say("no checkpoint found: the training begins")
         self.progress.say("taking statistics of the data")
-        with statistics_clips(_sampler(self.data, self.config), train) as clips:
+        with self.processes.agreed(), statistics_clips(_sampler(self.data, self.config), train) as clips:
             self.task.prepare(clips)
         self.task.load_state(self.processes.share_object(self.task.state()))
         return None
@@ -134,6 +134,8 @@ class _Run:
     def go(self) -> None:
         """Take all steps."""
         train = self.config.train
+        if self.step:
+            self._complete()
         while self.step < train.steps:
             batches = self.loader.step()
             self._note_skipped(batches)
@@ -146,12 +148,24 @@ class _Run:
                 extra |= {f"{name}.learning_rate": value for name, value in rates.items()}
                 self.outputs.loss(self.step, means | extra)
             self.progress.step(self.step, next(iter(means.values()), math.nan))
-            is_last = self.step == train.steps
-            if self.step % train.checkpoint == 0 or is_last:
-                self._save()
-            if train.validate and (self.step % train.validate == 0 or is_last):
+            if self.step % train.checkpoint == 0 or self.step == train.steps:
+                save_checkpoint(self.out, self.step, self.about, self.task, self.players, self.processes)
+                self._write_weights()
+            if self._is_validated():
                 self._validate()
         self._end()
+
+    def _is_validated(self) -> bool:
+        """Return whether there is a validation after this step."""
+        train = self.config.train
+        return train.validate > 0 and (self.step % train.validate == 0 or self.step == train.steps)
+
+    def _complete(self) -> None:
+        """Do what a killed process may have left out after the checkpoint that is resumed from."""
+        self._write_weights()
+        is_done = self.outputs is not None and self.outputs.has_scores(self.step)
+        if self._is_validated() and not self.processes.share_object(is_done):
+            self._validate()
 
     def _reduced(
         self, losses: Mapping[str, LossOf], batches: Sequence[Batch]
@@ -175,8 +189,7 @@ class _Run:
             )
         return _means([each for each, _, _ in found]), norms
 
-    def _save(self) -> None:
-        save_checkpoint(self.out, self.step, self.about, self.task, self.players, self.processes)
+    def _write_weights(self) -> None:
         with self.players.evaluated() as modules, torch.no_grad():
             tensors, header = self.task.weights(modules)
             whole = {name: full(tensor).detach().cpu() for name, tensor in tensors.items()}

@@ -8,7 +8,8 @@ import io
 import json
 import os
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -82,6 +83,7 @@ class Table:
     def __init__(self, path: Path, steps: int) -> None:
         """Open the table, with the rows of steps up to ``steps``."""
         self._path = path
+        self.last = 0
         self._columns: list[str] = ["step"]
         rows: list[dict[str, str]] = []
         if path.is_file():
@@ -89,6 +91,7 @@ class Table:
                 reader = csv.DictReader(file)
                 self._columns = list(reader.fieldnames or self._columns)
                 rows = [row for row in reader if _is_row(row) and int(row["step"]) <= steps]
+        self.last = max((int(row["step"]) for row in rows), default=0)
         self._rewrite(rows)
 
     def _rewrite(self, rows: list[dict[str, str]]) -> None:
@@ -105,6 +108,7 @@ class Table:
                 rows = list(csv.DictReader(file))
             self._columns += new
             self._rewrite(rows)
+        self.last = step
         row = {"step": str(step), **{name: repr(float(value)) for name, value in numbers.items()}}
         line = ",".join(row.get(name, "") for name in self._columns) + "\n"
         try:
@@ -130,20 +134,28 @@ class Outputs:
         self._board = _board(folder / "tb", steps)
         (folder / "validation").mkdir(exist_ok=True)
 
+    def has_scores(self, step: int) -> bool:
+        """Return whether the scores after a step are there."""
+        return self._scores.last == step
+
     @property
     def has_board(self) -> bool:
         """Whether TensorBoard is installed."""
         return self._board is not None
 
+    @contextmanager
+    def _events(self) -> Iterator[None]:
+        """Turn errors of TensorBoard's files into one line."""
+        try:
+            yield
+        except OSError as error:
+            raise CheckpointError(f"the events cannot be written: {error.strerror}: {self.folder / 'tb'}") from error
+
     def _show(self, step: int, numbers: Mapping[str, float]) -> None:
         if self._board is not None:
-            try:
+            with self._events():
                 for name, value in numbers.items():
                     self._board.add_scalar(name.replace(".", "/"), value, step)
-            except OSError as error:
-                raise CheckpointError(
-                    f"the events cannot be written: {error.strerror}: {self.folder / 'tb'}"
-                ) from error
 
     def loss(self, step: int, numbers: Mapping[str, float]) -> None:
         """Add the losses of a step."""
@@ -162,9 +174,11 @@ class Outputs:
             pillow().fromarray(picture.permute(1, 2, 0).contiguous().numpy()).save(content, "PNG")
             write_whole(self.folder / "validation" / f"{step}.png", content.getvalue())
             if self._board is not None:
-                self._board.add_image("validation/pictures", picture, step)
+                with self._events():
+                    self._board.add_image("validation/pictures", picture, step)
         if self._board is not None:
-            self._board.flush()
+            with self._events():
+                self._board.flush()
 
     def weights(self, tensors: Mapping[str, Tensor], header: Mapping[str, str]) -> None:
         """Write ``weights.safetensors``. Raises ``CheckpointError`` if it cannot be written."""
@@ -176,6 +190,7 @@ class Outputs:
             save_file({name: tensor.contiguous() for name, tensor in tensors.items()}, partial, dict(header))
             with open(partial, "rb") as file:
                 os.fsync(file.fileno())
+            os.chmod(partial, (self.folder / MARKER).stat().st_mode)  # safetensors writes files for their owner alone
             os.replace(partial, path)
         except Exception as error:  # safetensors has an error type of its own
             partial.unlink(missing_ok=True)

@@ -12,9 +12,10 @@ from torch import Tensor, nn
 
 from .config import TrainOptions
 from .ema import Ema
+from .errors import ConfigError
 from .optimizer import clip_gradients, create_optimizer, named_groups, set_rates
 from .parallel import Processes, lost_processes, reshard, shard_module, without_sync, wrap_step
-from .task import Player, Task
+from .task import LOGGED, Player, Task
 
 __all__ = ["LossOf", "Players", "autocast"]
 
@@ -104,6 +105,8 @@ class Players:
             with autocast(self._options, self._processes.device):
                 loss, numbers = entry.step(batch, self.modules)
             torch.autograd.backward(loss / batches)
+        if wrong := [name for name in numbers if name in LOGGED]:
+            raise ConfigError(f"expected numbers to log named other than {', '.join(LOGGED)}, found {wrong[0]}")
         return LossOf(float(loss.detach()), {name: float(value) for name, value in numbers.items()})
 
     @contextmanager

@@ -15,7 +15,11 @@ if TYPE_CHECKING:
     from .clip import Clip
     from .config import Config, TrainOptions
 
-__all__ = ["Player", "Task", "create_task", "recipe_of"]
+__all__ = ["LOGGED", "Player", "Task", "create_task", "recipe_of"]
+
+
+LOGGED = ("loss", "gradient_norm", "learning_rate")
+"""Numbers of a player that the harness logs."""
 
 
 class Player(NamedTuple):
@@ -59,7 +63,7 @@ class Task(Protocol):
     def loss(
         self, player: str, batch: Any, modules: Mapping[str, nn.Module], device: torch.device
     ) -> tuple[Tensor, dict[str, float]]:
-        """Return the loss of a player, and numbers to log.
+        """Return the loss of a player, and numbers to log, named other than ``LOGGED``.
 
         ``batch`` is what ``draw`` returned, with the tensors in its tuples, lists and dictionaries on the device. Runs
         under autocast. The parameters of the other players need no gradients meanwhile. PyTorch's default generator is
@@ -118,5 +122,8 @@ def recipe_of(config: Config) -> Mapping[str, Any] | None:
     function = getattr(_module(config.network), "recipe", None)
     if function is None:
         return None
-    recipe: Mapping[str, Any] = function(config.options)
+    try:
+        recipe: Mapping[str, Any] = function(config.options)
+    except (ValueError, TypeError) as error:
+        raise ConfigError(f"network {config.network!r}: {first_line(error)}") from error
     return recipe

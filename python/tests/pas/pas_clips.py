@@ -81,7 +81,7 @@ def driven(steps: Any) -> Any:
 
 
 def narrow_posterior(base: Path) -> None:
-    """Change the random autoencoder of a folder so that its posterior is narrow, as a trained one's, and means differ more."""
+    """Change the random autoencoder of a folder: a narrow posterior, as a trained one's, and means that differ more."""
     from safetensors.torch import load_file, save_file
 
     path = base / "vae" / "diffusion_pytorch_model.safetensors"

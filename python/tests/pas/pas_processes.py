@@ -10,7 +10,7 @@ from pas_clips import clip
 from pskel.models._adamw8bit import AdamW8bit
 from pskel.models.pas.task import PasTask, task
 from pskel.train.config import TrainOptions
-from pskel.train.parallel import Processes, shard_module
+from pskel.train.parallel import Processes, full, shard_module
 from torch.distributed.fsdp import FSDPModule
 
 STEPS = 2
@@ -48,7 +48,7 @@ def steps(step: Any, of: PasTask, optimizer: Any, clips: list[Any], rank: int, c
 def run(rank: int, options: dict[str, Any], folder: str) -> None:
     """One of two processes, each with a clip: DDP, then FSDP, then FSDP with moments of 8 bits."""
     torch.set_num_threads(1)
-    store = dist.FileStore(os.path.join(folder, "store"), 2)
+    store = dist.FileStore(os.path.join(folder, "store"), 2)  # type: ignore[attr-defined]
     dist.init_process_group("gloo", store=store, rank=rank, world_size=2)
     found: dict[str, Any] = {}
     for kind in ("ddp", "fsdp", "fsdp8"):
@@ -57,13 +57,13 @@ def run(rank: int, options: dict[str, Any], folder: str) -> None:
             step: torch.nn.Module = torch.nn.parallel.DistributedDataParallel(Step(of), broadcast_buffers=False)
         else:
             shard_module(of.network, Processes(rank, 2, CPU))
-            found["units"] = sorted(type(part).__name__ for part in of.network.modules() if isinstance(part, FSDPModule))
+            units = [part for part in of.network.modules() if isinstance(part, FSDPModule)]
+            found["units"] = sorted(type(part).__name__ for part in units)
             step = Step(of)
         kinds: Any = AdamW8bit if kind == "fsdp8" else torch.optim.AdamW
         count = 1 if kind == "fsdp8" else STEPS
         losses = steps(step, of, kinds(of.players[0].groups, lr=1e-3), [clip(rank)], rank, count)
         tensors, _ = of.weights({"network": of.network})
-        whole = {name: getattr(tensor, "full_tensor", lambda tensor=tensor: tensor)() for name, tensor in tensors.items()}
-        found[kind] = losses, {name: tensor.detach().clone() for name, tensor in whole.items()}
+        found[kind] = losses, {name: full(tensor).detach().clone() for name, tensor in tensors.items()}
     torch.save(found, Path(folder) / f"rank{rank}.pt")
     dist.destroy_process_group()

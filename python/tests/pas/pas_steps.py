@@ -60,7 +60,8 @@ def read_case(name: str) -> Case:
     file, _, part = name.partition(".")
     tensors = load_file(STEPS / f"{file}.safetensors")
     batch = load_file(STEPS / "nuscenes.safetensors") if file == "dropouts" else tensors
-    prefixes = [f"{part}."] if file == "dropouts" else [f"{part + '.' if part else ''}step{i}." for i in range(meta["steps"])]
+    first = f"{part}." if part else ""
+    prefixes = [first] if file == "dropouts" else [f"{first}step{i}." for i in range(meta["steps"])]
     return Case(name, file, prefixes, meta, _below(batch, "batch."), tensors)
 
 

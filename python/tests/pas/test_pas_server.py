@@ -93,7 +93,10 @@ def test_other_requests_are_refused(capsys: pytest.CaptureFixture[str], base: Pa
     without = {name: tensor for name, tensor in tensors.items() if name != "action"}
     assert refused(texts, without) == "expected the tensor action of [3, 3], found none"
     prompts = {**texts, "prompts": '["", ""]'}
-    assert refused(prompts, tensors) == 'expected prompts as a list of 3 texts in the call, found ["", ""]'
+    expected = "expected prompts as a list of 3 texts, or of lists of 6 texts, in the call, found "
+    assert refused(prompts, tensors) == expected + '["", ""]'
+    prompts = {**texts, "prompts": '["", "", ["a", "b"]]'}
+    assert refused(prompts, tensors) == expected + '["", "", ["a", "b"]]'
     dropped = {**texts, "dropped": '["layout", ["color"]]'}
     assert refused(dropped, tensors) == 'expected dropped as a list of texts in the call, found ["layout", ["color"]]'
     unknown = {**texts, "dropped": '["text"]'}

@@ -14,7 +14,7 @@ pytest.importorskip("peft")
 safetensors = pytest.importorskip("safetensors.torch")
 from pas_clips import SIZES  # noqa: E402
 from pskel.models.pas import Config, Network, load  # noqa: E402
-from pskel.models.pas.checkpoint import load_start, read_header  # noqa: E402
+from pskel.models.pas.checkpoint import as_header, load_start, read_header  # noqa: E402
 from pskel.models.pas.training.merge import main  # noqa: E402
 from pskel.models.pas.training.modes import (  # noqa: E402
     TrainMode,
@@ -147,7 +147,9 @@ def test_a_layout_stage_has_no_points() -> None:
         prepare(random_network(), TrainMode.parse("points"), with_points=False)
 
 
-@pytest.mark.parametrize("text", ["", "full", "all+points", "points+all", "lora:0", "lora:x", "lora:", "lora+lora:2", "points+adapters"])
+@pytest.mark.parametrize(
+    "text", ["", "full", "all+points", "points+all", "lora:0", "lora:x", "lora:", "lora+lora:2", "points+adapters"]
+)
 def test_other_modes_are_rejected(text: str) -> None:
     expected = f"expected train of all, or adapters, points and lora:R joined by +, found {text!r}"
     with pytest.raises(ValueError, match=f"^{re.escape(expected)}$"):
@@ -173,15 +175,16 @@ def test_merged_checkpoints_predict_the_same(base: Path, tmp_path: Path, train: 
     if train != "points":  # what is trained alone has no adapter of points
         start |= {name: tensor for name, tensor in network.state_dict().items() if name.startswith(POINTS)}
     safetensors.save_file(start, tmp_path / "start.safetensors")
-    header = {"config": json.dumps(asdict(CONFIG)), "export": "trained", "lora_rank": str(mode.lora_rank)}
+    header = {"config": asdict(CONFIG), "export": "trained", "lora_rank": mode.lora_rank}
     trained = {name: tensor.contiguous() for name, tensor in trained_weights(network.state_dict(), mode).items()}
-    safetensors.save_file(trained, tmp_path / "trained.safetensors", header)
+    safetensors.save_file(trained, tmp_path / "trained.safetensors", as_header(header))
     files = {name: str(tmp_path / f"{name}.safetensors") for name in ("start", "trained", "out")}
     assert main(["--weights", files["start"], "--trained", files["trained"], "--out", files["out"]]) == 0
     count = len(random_network().state_dict())
     assert capsys.readouterr().out == f"merged {count} tensors: {files['out']}\n"
-    assert read_header(files["out"]) == {**header, "export": "full"}
-    found = load(files["out"], Config.parse(json.loads(header["config"])))
+    about = read_header(files["out"])
+    assert about == {**json.loads(json.dumps(header)), "export": "full"}
+    found = load(files["out"], Config.parse(about["config"]))
     assert float((predict(found) - expected).abs().max()) < 1e-5 * float(expected.std())
     directly = merged(network.state_dict())
     assert {name: tensor.shape for name, tensor in directly.items()} == {

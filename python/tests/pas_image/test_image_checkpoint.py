@@ -188,8 +188,18 @@ def test_other_unets_are_refused(base: Path, tmp_path: Path) -> None:
     assert str(caught.value) == found
     copy = tmp_path / "base"
     shutil.copytree(base, copy)
-    for path in (copy / "unet").glob("*.safetensors"):
-        path.write_bytes(b"damaged")
+    (path,) = (copy / "unet").glob("*.safetensors")
+    tensors = safetensors.load_file(path)
+    for kind, changed in (
+        ("1 missing (conv_in.bias)", {name: tensor for name, tensor in tensors.items() if name != "conv_in.bias"}),
+        ("1 unexpected (extra)", {**tensors, "extra": torch.zeros(1)}),
+    ):
+        safetensors.save_file(changed, path, {"format": "pt"})
+        with pytest.raises(ValueError) as caught:
+            load_unet(copy, TINY)
+        expected = f"expected the weights of a UNet2DConditionModel, found {kind}: {copy / 'unet'}"
+        assert str(caught.value) == expected
+    path.write_bytes(b"damaged")
     with pytest.raises(ValueError, match=f"^expected a UNet2DConditionModel, found .*: {copy / 'unet'}$"):
         load_unet(copy, TINY)
 

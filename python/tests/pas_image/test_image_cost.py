@@ -1,5 +1,6 @@
 """Estimates of memory and operations: counts by hand of small modules, and the table of the command."""
 
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -10,7 +11,7 @@ pytest.importorskip("transformers")
 pytest.importorskip("peft")
 from pskel.models._cost import counted, recomputed_bytes, saved_bytes  # noqa: E402
 from pskel.models.pas_image.config import TINY  # noqa: E402
-from pskel.models.pas_image.cost import MODES, Cost, cost, main  # noqa: E402
+from pskel.models.pas_image.cost import MODES, Cost, cost, main, measured  # noqa: E402
 from torch.nn.functional import scaled_dot_product_attention  # noqa: E402
 
 
@@ -99,6 +100,13 @@ def test_the_command_prints_a_table(capsys: pytest.CaptureFixture[str]) -> None:
     assert len(lines) == 12 and {line.count("|") for line in lines} == {5}
     assert lines[0] == "| 224x400, 2 frames, 6 cameras | all | adapters | lora, rank 16 |"
     assert "| time per clip at 0.001 T/s |" in lines[9]
+
+
+def test_steps_are_measured(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As on a GPU, which has 224x400 pixels."""
+    monkeypatch.setattr("pskel.models.pas_image.cost._SIZE", (32, 56))
+    seconds, peak = measured(replace(TINY, trained="lora", lora_rank=16), torch.device("cpu"))
+    assert 0.0 < seconds < 600.0 and peak == 0
 
 
 def test_wrong_options_are_one_line(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:

@@ -261,6 +261,33 @@ def test_prompts_are_encoded_once(models: Models, rig: Rig) -> None:
             each.remove()
 
 
+class RecordedTexts(Recorder):
+    """Text tokens that the network of a denoiser gets."""
+
+    def __init__(self, models: Models) -> None:
+        super().__init__(models)
+        self.texts: list[Any] = []
+
+    def _record(self, module: Any, given: tuple[Any, ...]) -> None:
+        self.texts.append(given[2].text.clone())
+
+
+def test_each_camera_may_have_a_prompt(peer: Peer, denoiser: Denoiser, models: Models) -> None:
+    latents, timesteps, sigmas, frames = window()
+    texts = [f"camera {view}" for view in range(V)]
+    same = [{**frame, "prompt": "camera 2"} for frame in frames]
+    each = [{**frames[0], "prompt": texts}, {**frames[1], "prompt": "camera 2"}]
+    with RecordedTexts(models) as seen:
+        found = denoiser(latents, timesteps, sigmas, created(each))
+        assert (denoiser(latents, timesteps, sigmas, created(same)) != found).any()
+    np.testing.assert_array_equal(unpack(peer.ask(*request(latents, timesteps, sigmas, each)))[1]["prediction"], found)
+    first, second = seen.texts[0][0], seen.texts[1][0]
+    assert torch.equal(first[1], second[1]) and torch.equal(first[0, 2], second[0, 2])
+    assert all(torch.equal(first[0, view], models.text(text)) for view, text in enumerate(texts))
+    with pytest.raises(ValueError, match="^expected a prompt, or one for each of 6 cameras, found 2$"):
+        FrameCondition.create(**{**frames[0], "prompt": texts[:2]})
+
+
 def test_invalid_calls_are_refused(denoiser: Denoiser, models: Models, rig: Rig) -> None:
     latents, timesteps, sigmas, frames = window()
     conditions = created(frames)

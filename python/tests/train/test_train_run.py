@@ -106,6 +106,22 @@ def test_a_killed_run_resumes_with_the_same_losses(tmp_path: Path, clips: list[P
     assert [path.name for path in killed.glob(".*")] == [".lock"]
 
 
+def test_what_was_left_out_is_done_on_resuming(tmp_path: Path, clips: list[Path]) -> None:
+    """A process that is killed right after its last checkpoint has written neither weights nor scores."""
+    out = tmp_path / "out"
+    file = config(tmp_path)
+    run(file, "--data", *clips, "--out", out)
+    weights, scores = (out / "weights.safetensors").read_bytes(), (out / "scores.csv").read_text()
+    (out / "weights.safetensors").unlink()
+    (out / "scores.csv").write_text("".join(scores.splitlines(keepends=True)[:-1]))
+    rows = (out / "loss.csv").read_bytes()
+    done = run(file, "--data", *clips, "--out", out, "--resume")
+    assert "resumed from checkpoint-6" in done.stderr and "validation after step 6" in done.stderr
+    assert (out / "weights.safetensors").read_bytes() == weights and (out / "scores.csv").read_text() == scores
+    assert (out / "loss.csv").read_bytes() == rows
+    assert "validation after step" not in run(file, "--data", *clips, "--out", out, "--resume").stderr
+
+
 def test_the_seed_changes_the_run(tmp_path: Path, clips: list[Path]) -> None:
     """Otherwise equal losses after a resume would mean nothing."""
     found: list[bytes] = []

@@ -4,7 +4,8 @@
 predicts the velocity of their noisy latents. ``added_time_ids`` computes the camera and motion numbers it needs.
 
 ``Denoiser`` is the network with its autoencoder and text encoders (``Models``) as the function of ``pskel.ResetAndRoll``.
-``python -m pskel.models.pas`` serves it to ``pskel simulate --generator process:..``.
+``python -m pskel.models.pas`` serves it to ``pskel simulate --generator process:..``. ``python -m pskel.train`` trains it:
+``task`` and ``training``; ``python -m pskel.models.pas.training.presets NAME`` prints a configuration.
 """
 
 import sys

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 from collections.abc import Sequence
 from io import BufferedIOBase
@@ -69,10 +68,10 @@ def _serve(options: argparse.Namespace, source: BufferedIOBase, out: BufferedIOB
     serve(source, out, models, cached_frames=options.cached_frames, camera_numbers=numbers)
 
 
-def _config(path: str | None, header: dict[str, str], weights: str) -> Config:
+def _config(path: str | None, header: dict[str, Any], weights: str) -> Config:
     if path is not None:
         return Config.read(path)
-    return Config.parse(json.loads(header["config"]), weights) if "config" in header else Config()
+    return Config.parse(header["config"], weights) if "config" in header else Config()
 
 
 if __name__ == "__main__":

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import pickle
 from collections.abc import Mapping
@@ -18,9 +19,10 @@ from .blocks import ImageAdapter
 from .config import Config
 from .network import Network
 
-__all__ = ["load", "load_start", "read_header", "read_tensors"]
+__all__ = ["as_header", "load", "load_start", "read_header", "read_tensors"]
 
 _POINTS = "condition_pc_adapter."
+_HEADER = "pskel.models.pas"
 _ZIP = b"PK\x03\x04"
 
 
@@ -37,8 +39,8 @@ def load(
     in it is run. Weights are converted to ``dtype`` one by one. ``config`` must match the training; the
     default matches the published checkpoints.
 
-    Raises ``ValueError``, which names the file, if it is no checkpoint, or if tensors are missing, additional or of another
-    shape; ``OSError`` if it cannot be read.
+    Raises ``ValueError``, which names the file, if it is no checkpoint, or if tensors are missing, additional or of
+    another shape; ``OSError`` if it cannot be read.
     """
     return _assigned(config, read_tensors(path), path, dtype, device).eval()
 
@@ -46,8 +48,8 @@ def load(
 def load_start(path: str | os.PathLike[str], config: Config = Config()) -> Network:
     """Read the weights that a training starts from, in ``float32``; returns the network in training mode.
 
-    As ``load``, but the adapter of points may be missing. It is new then, with random weights from PyTorch's generator, and
-    its zero convolutions are 0, so that it changes nothing yet.
+    As ``load``, but the adapter of points may be missing. It is new then, with random weights from PyTorch's
+    generator, and its zero convolutions are 0, so that it changes nothing yet.
     """
     tensors = read_tensors(path)
     if not any(name.startswith(_POINTS) for name in tensors):
@@ -56,19 +58,30 @@ def load_start(path: str | os.PathLike[str], config: Config = Config()) -> Netwo
     return _assigned(config, tensors, path, torch.float32, "cpu").train()
 
 
-def read_header(path: str | os.PathLike[str]) -> dict[str, str]:
-    """Return the texts in the header of a safetensors file; none for another file."""
+def as_header(values: Mapping[str, Any]) -> dict[str, str]:
+    """Return what a training notes about its network as the header of a safetensors file."""
+    # One text, since the format does not keep the order of several: the same training writes the same bytes.
+    return {_HEADER: json.dumps(values, sort_keys=True)}
+
+
+def read_header(path: str | os.PathLike[str]) -> dict[str, Any]:
+    """Return the values of ``as_header`` in a file; none for one of another kind or source."""
     if Path(path).suffix != ".safetensors":
         return {}
     try:
         with safe_open(path, "pt") as file:
-            return dict(file.metadata() or {})
-    except SafetensorError as error:
+            values = json.loads((file.metadata() or {}).get(_HEADER, "{}"))
+    except (SafetensorError, ValueError) as error:
         raise ValueError(f"expected a file of safetensors, found {error}: {os.fspath(path)}") from error
+    return values if isinstance(values, dict) else {}
 
 
 def _assigned(
-    config: Config, tensors: Mapping[str, Tensor], path: str | os.PathLike[str], dtype: torch.dtype, device: str | torch.device
+    config: Config,
+    tensors: Mapping[str, Tensor],
+    path: str | os.PathLike[str],
+    dtype: torch.dtype,
+    device: str | torch.device,
 ) -> Network:
     """A network with these tensors, converted one by one."""
     with torch.device("meta"):

@@ -97,10 +97,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     names = [known.name for known in PUBLISHED]
     parser.add_argument("--clips", choices=names, default=names[0], help=f"clips of the training (default: {names[0]})")
     parser.add_argument(
-        "--rate", type=float, default=400.0, metavar="T", help="10^12 operations per second of the training (default: 400)"
+        "--rate", type=float, default=400.0, metavar="T", help="10^12 operations per second in training (default: 400)"
     )
     parser.add_argument(
-        "--measure", metavar="N", type=int, help="also take steps with random weights on a GPU, as column N of --training"
+        "--measure", metavar="N", type=int, help="take steps with random weights on a GPU, for column N of --training"
     )
     options = parser.parse_args(arguments)
     try:

@@ -170,7 +170,7 @@ class Denoiser:
         frames = [
             Conditions(
                 add_residuals(self._layout(condition.layout), self._point(condition.points)),
-                *self._text(condition.prompt),
+                *self._text(condition.prompts),
                 network.encode_view(numbers[None, None]),
             )
             for condition, numbers in zip(conditions, ids)
@@ -189,7 +189,17 @@ class Denoiser:
 
         return self._points.get(maps.key, encode)
 
-    def _text(self, prompt: str) -> tuple[Tensor, Tensor]:
+    def _text(self, prompts: Sequence[str]) -> tuple[Tensor, Tensor]:
+        """Encode the prompts of the cameras, in the order of the rig."""
+        if len(set(prompts)) == 1:
+            return self._prompt(prompts[0])
+        parts = [self._prompt(prompts[camera]) for camera in self._order]
+        text, pooled = (torch.cat([tensor[:, :, :1] for tensor in tensors], dim=2) for tensors in zip(*parts))
+        return text, pooled
+
+    def _prompt(self, prompt: str) -> tuple[Tensor, Tensor]:
+        """Encode a prompt for all cameras."""
+
         def encode() -> tuple[Tensor, Tensor]:
             leading = 1, 1, len(self.rig.cameras)
             tokens, pooled = self.models.text(prompt)

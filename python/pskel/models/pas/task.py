@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict
 from typing import Any, NamedTuple
@@ -17,7 +16,7 @@ from ...train.task import Player
 from .._command import silence
 from .._rig import CameraNumbers, inverse
 from .base import expect_base
-from .checkpoint import load_start
+from .checkpoint import as_header, load_start
 from .config import Config
 from .network import Network
 from .text import TextEncoder
@@ -61,7 +60,7 @@ def task(options: Mapping[str, Any], train: TrainOptions) -> PasTask:
 
 
 class PasTask:
-    """Trains the network on clips; autoencoder and text encoders are frozen, and on the device from the first loss on."""
+    """Trains the network on clips. Autoencoder and text encoders are frozen; the first loss moves them to the GPU."""
 
     def __init__(self, options: TaskOptions, step: StepOptions, train: TrainOptions) -> None:
         self.options, self.step = options, step
@@ -138,16 +137,15 @@ class PasTask:
             tensors = trained_weights(state, self.mode)
         else:
             tensors = merged({name: _whole(tensor) for name, tensor in state.items()}) if self.mode.lora_rank else state
-        header = {
-            "format": "pskel-pas",
-            "config": json.dumps(asdict(self.config)),
+        about = {
+            "config": asdict(self.config),
             "camera_numbers": self.camera_numbers,
             "depth": self.step.depth,
             "preset": self.options.preset,
             "export": self.options.export,
-            "lora_rank": str(self.mode.lora_rank),
+            "lora_rank": self.mode.lora_rank,
         }
-        return tensors, header
+        return tensors, as_header(about)
 
     def state(self) -> dict[str, Any]:
         """Return nothing: all state is in the module."""
@@ -186,7 +184,7 @@ class PasTask:
         return Texts(torch.stack(tokens).to(device), torch.stack(pooled).to(device))
 
     def _generated(self, clip: Clip, network: nn.Module) -> Tensor:
-        """Generate a clip from noise; returns images ``float32 [T, V, 3, H, W]`` in main memory, cameras as in the clip."""
+        """Generate a clip from noise; returns images ``float32 [T, V, 3, H, W]`` on the CPU, cameras as in the clip."""
         device = next(network.parameters()).device
         self._move(device)
         batch = self._collated([clip]).to(device)

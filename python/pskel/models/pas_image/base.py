@@ -48,10 +48,16 @@ def load_unet(folder: Path, config: Config) -> UNet2DConditionModel:
     """
     found, path = _unet_config(folder)
     _expect_same(config, found, path)
+    options: dict[str, Any] = {"torch_dtype": torch.float32, "local_files_only": True, "output_loading_info": True}
     try:
-        return UNet2DConditionModel.from_pretrained(folder / "unet", torch_dtype=torch.float32, local_files_only=True)
+        unet, info = UNet2DConditionModel.from_pretrained(folder / "unet", **options)
     except Exception as error:  # of many kinds, by what the files are
         raise ValueError(f"expected a UNet2DConditionModel, found {first_line(error)}: {folder / 'unet'}") from error
+    for kind in ("missing", "unexpected"):
+        if names := sorted(info[f"{kind}_keys"]):
+            problem = f"{len(names)} {kind} ({names[0]})"
+            raise ValueError(f"expected the weights of a UNet2DConditionModel, found {problem}: {folder / 'unet'}")
+    return unet
 
 
 def _unet_config(folder: Path) -> tuple[dict[str, Any], Path]:

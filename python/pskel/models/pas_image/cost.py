@@ -23,7 +23,7 @@ from .config import LATENT_SCALE, TINY, Config, Trained
 from .network import IDS, LAYOUT_CHANNELS, POINT_CHANNELS, Inputs, Network
 from .presets import PRESETS
 
-__all__ = ["Cost", "cost", "main"]
+__all__ = ["MODES", "Cost", "cost", "main", "measured"]
 
 MODES: tuple[tuple[Trained, int], ...] = (("all", 0), ("adapters", 0), ("lora", 16))
 """Trained weights, and rank of LoRA matrices."""
@@ -147,31 +147,34 @@ def _rows(costs: Sequence[Cost], rate: float) -> Iterator[tuple[str, list[str]]]
 
 
 def _measured_rows(config: Config) -> Iterator[tuple[str, list[str]]]:
-    found = [_measured(replace(config, trained=trained, lora_rank=rank)) for trained, rank in MODES]
+    device = torch.device("cuda")
+    found = [measured(replace(config, trained=trained, lora_rank=rank), device) for trained, rank in MODES]
     name = torch.cuda.get_device_name()
     yield f"measured on {name}: time per step of 1 clip", [f"{seconds:.3f} s" for seconds, _ in found]
     yield "peak memory, without autoencoder and text encoder", [f"{peak / 1e9:.1f} GB" for _, peak in found]
 
 
-def _measured(config: Config) -> tuple[float, int]:
-    """Take steps with random weights on a GPU; returns seconds of the last one, and bytes of the peak."""
-    torch.cuda.empty_cache()
-    torch.cuda.reset_peak_memory_stats()
-    with torch.device("cuda"):
+def measured(config: Config, device: torch.device) -> tuple[float, int]:
+    """Take steps with random weights; returns seconds of the last one, and on a GPU the bytes of the peak, else 0."""
+    is_gpu = device.type == "cuda"
+    if is_gpu:
+        torch.cuda.empty_cache()
+        torch.cuda.reset_peak_memory_stats()
+    with device:
         network, inputs = _network(config), _inputs(config)
     optimizer = torch.optim.AdamW(parameter for parameter in network.parameters() if parameter.requires_grad)
     seconds = 0.0
     for _ in range(_MEASURED_STEPS):
-        torch.cuda.synchronize()
         begin = time.perf_counter()
-        with torch.autocast("cuda", torch.bfloat16):
+        with torch.autocast(device.type, torch.bfloat16):
             loss: Tensor = network(inputs).float().square().mean()
         torch.autograd.backward(loss)
         optimizer.step()
         optimizer.zero_grad(set_to_none=True)
-        torch.cuda.synchronize()
+        if is_gpu:
+            torch.cuda.synchronize()
         seconds = time.perf_counter() - begin
-    return seconds, torch.cuda.max_memory_allocated()
+    return seconds, torch.cuda.max_memory_allocated() if is_gpu else 0
 
 
 def _network(config: Config) -> Network:

@@ -193,7 +193,7 @@ class Denoiser:
         frames = [
             Conditions(
                 add_residuals(self._layout(condition.layout), self._point(condition.points)),
-                network.encode_text(self.models.text(condition.prompt).expand(1, 1, len(cameras[0]), -1, -1)),
+                network.encode_text(self.models.text.encode_all(condition.prompts)[None, None]),
                 network.encode_view(numbers[None, None]),
             )
             for condition, numbers in zip(conditions, ids)

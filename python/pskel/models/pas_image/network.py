@@ -111,7 +111,7 @@ class Network(nn.Module):
         self._window.checkpoint_activations = True
 
     def encode_layout(self, layout: Tensor) -> tuple[Tensor, ...]:
-        """Encode boxes and map ``[B, T, V, 6, H, W]``, 0 to 1, as residuals ``[B, T, V, C, h, w]`` of the down blocks."""
+        """Encode boxes and map ``[B, T, V, 6, H, W]``, 0 to 1; returns ``residuals`` of ``Conditions``."""
         return self._residuals(self.layout_adapter, self._converted(layout))
 
     def encode_points(self, points: Tensor) -> tuple[Tensor, ...]:

@@ -26,8 +26,8 @@ _BINS = 256
 def collate(clips: Sequence[Clip], config: Config, camera_numbers: CameraNumbers) -> Batch:
     """Join clips.
 
-    Raises ``ValueError``, which names the clip, for one frame, for sizes that the network does not take, and for clips of
-    other shapes, cameras or depth bins than the first one.
+    Raises ``ValueError``, which names the clip, for one frame, for sizes that the network does not take, and for
+    clips of other shapes, cameras or depth bins than the first one.
     """
     first = clips[0]
     texts = {"": 0}

@@ -15,8 +15,8 @@ __all__ = ["Draws", "generator_of"]
 class Draws(NamedTuple):
     """All random numbers of a step over B clips with T frames; nothing else in a step is random.
 
-    ``posterior_noise``, ``noise``, ``level``, ``input_scale`` and ``input_offset`` are normal, the others uniform between 0
-    and 1.
+    ``posterior_noise``, ``noise``, ``level``, ``input_scale`` and ``input_offset`` are normal, the others uniform
+    between 0 and 1.
     """
 
     posterior_noise: Tensor

@@ -53,7 +53,7 @@ class Cost:
     """Parameters."""
     frozen: int
     state_bytes: int
-    """Weights, gradients and moments; with ``adamw`` also the copy of the weights in bf16 that autocast keeps in a step."""
+    """Weights, gradients and moments; with ``adamw`` also the weights in bf16 that autocast keeps in a step."""
     input_bytes: int
     """Inputs of the network for a clip."""
     kept_bytes: int

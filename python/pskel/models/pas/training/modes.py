@@ -32,7 +32,7 @@ class TrainMode(NamedTuple):
 
     @classmethod
     def parse(cls, text: str) -> TrainMode:
-        """Convert ``all``, or ``adapters``, ``points``, ``lora`` and ``lora:R`` joined by ``+``. Raises ``ValueError``."""
+        """Convert ``all``, or ``adapters``, ``points`` and ``lora:R`` joined by ``+``. Raises ``ValueError``."""
         mode = cls()
         for part in text.split("+"):
             kind, colon, rank = part.partition(":")
@@ -61,8 +61,8 @@ def prepare(
 ) -> None:
     """Add LoRA matrices, which change nothing yet, and let gradients reach the trained parameters alone.
 
-    Without points, their adapter is not trained. Parameters are converted to ``trained_dtype`` or ``frozen_dtype``. Raises
-    ``ValueError`` if nothing is trained, and for LoRA without peft.
+    Without points, their adapter is not trained. Parameters are converted to ``trained_dtype`` or ``frozen_dtype``.
+    Raises ``ValueError`` if nothing is trained, and for LoRA without peft.
     """
     if mode.lora_rank:
         add_lora(network, mode.lora_rank, _pattern(network))

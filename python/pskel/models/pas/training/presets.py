@@ -60,7 +60,7 @@ _NUPLAN = {
     "bins": {"far_m": 100.0},
     "map_layers": "dividers",
 }
-"""Of the training. The authors' simulator, and ``--recipe pas-nuplan``, take 150 m, so that a depth has 2/3 of the trained value."""
+"""Of the training. The authors' simulator, and ``--recipe pas-nuplan``, take 150 m: 2/3 of the trained depth values."""
 _FAR = {"radius_m": 100.0, "bins": {"far_m": 100.0}}
 
 _OPENDWM = "OpenDWM's checkpoint ctsd_35_df16_tirda_bm_nwao_40k"
@@ -139,7 +139,7 @@ PRESETS: Mapping[str, Preset] = {
         prompt="WEATHER. A driving scene in CITY",
     ),
 }
-"""Common to all: AdamW (0.9, 0.999) with weight decay 0.01 on every tensor, a constant rate, no clipping, no average."""
+"""Common to all: AdamW (0.9, 0.999) with weight decay 0.01 on every tensor, a constant rate, no clipping, no EMA."""
 
 
 def configuration(name: str) -> str:

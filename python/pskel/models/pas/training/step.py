@@ -38,7 +38,8 @@ _SHIFT = 3.0
 class StepOptions:
     """Probabilities of the dropouts, deviations of the errors, and conditions; the defaults are the authors'.
 
-    Raises ``ValueError`` for a probability that is not between 0 and 1, for a negative deviation, and for another depth.
+    Raises ``ValueError`` for a probability that is not between 0 and 1, for a negative deviation, and for another
+    depth.
     """
 
     drop_text: float = 0.2
@@ -106,8 +107,8 @@ class Texts(NamedTuple):
 class Inputs:
     """Arguments of the network, see ``Network.forward`` and ``Network.encode_conditions``.
 
-    A class of its own, not a tuple of tensors: FSDP may round tensors among the arguments to half precision, but timesteps
-    and ``ids`` need more digits.
+    A class of its own, not a tuple of tensors: FSDP may round tensors among the arguments to half precision, but
+    timesteps and ``ids`` need more digits.
     """
 
     def __init__(
@@ -146,7 +147,7 @@ class Targets(NamedTuple):
 
 
 def sigmas_of(level: Tensor) -> Tensor:
-    """Return the noise levels of normal numbers, of any shape: logit-normal, on the table of 1000 steps with shift 3."""
+    """Return the noise levels of normal numbers, of any shape: logit-normal, of the 1000 steps with shift 3."""
     index = (level.sigmoid() * _LEVELS).floor().clamp(max=_LEVELS - 1)
     steps = torch.arange(_LEVELS, 0, -1, dtype=torch.float32, device=level.device) / _LEVELS
     return shifted(steps)[index.long()]
