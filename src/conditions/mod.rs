@@ -27,7 +27,7 @@ pub mod view;
 pub mod write;
 
 pub use bins::{BinScale, DepthBins};
-pub use captions::{Captions, FrameCaptions};
+pub use captions::{Captions, FrameCaptions, Prompts};
 pub use error::ConditionError;
 pub use layout::{LayoutLayers, LayoutStyle, LineWidth};
 pub use memory::check_memory;

@@ -341,7 +341,7 @@ mod tests {
             dropped: DroppedConditions::default(),
             action: [0.0; 3],
             cameras: vec![CAMERA],
-            prompt: String::new(),
+            prompts: Default::default(),
         };
         (frame.color[at], frame.bins[at]) = ([51, 102, 204], 51);
         check(&config, &frame).unwrap();

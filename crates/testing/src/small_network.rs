@@ -77,7 +77,7 @@ fn made(recipe: &Recipe, views: usize, number: usize, frame: usize) -> (FrameCon
         dropped: DroppedConditions::default(),
         action: [1.0, 0.1 * frame as f32, 0.02],
         cameras: (0..views).map(|view| camera(0.5 - view as f32)).collect(),
-        prompt: String::new(),
+        prompts: Default::default(),
     };
     let truth = |view, y, x| [0, 1, 2].map(|color| shade(kind(number, view, frame, x, y), x, y, color));
     for (view, y, x) in places(views, size) {

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use numpy::{PyArray1, PyArray4, PyArrayMethods};
-use point_skeleton::dataset::{Gap, LogLocator, LogOpener, ReadOptions, register};
+use point_skeleton::dataset::{Frame, Gap, LogLocator, LogOpener, ReadOptions, register};
 use point_skeleton::error::with_causes;
 use point_skeleton::geometry::View;
 use point_skeleton::scene::GroundTruthImages;
@@ -124,6 +124,29 @@ impl Log {
     #[getter]
     fn name(&self) -> &str {
         self.inner.name()
+    }
+
+    /// Identifier within the data set: the token of the scene in nuScenes, else empty.
+    #[getter]
+    fn token(&self) -> &str {
+        &self.inner.recording().token
+    }
+
+    /// Location of the HD map, such as `singapore-onenorth`; may be empty.
+    #[getter]
+    fn location(&self) -> &str {
+        &self.inner.recording().location
+    }
+
+    /// Identifiers of the recorded images within the data set, by camera, for each key frame.
+    #[getter]
+    fn image_tokens(&self) -> Vec<BTreeMap<String, String>> {
+        let log = self.inner.recording();
+        let tokens = |frame: &Frame| {
+            let images = frame.images.iter();
+            images.map(|image| (log.cameras[image.channel].to_string(), image.token.clone())).collect()
+        };
+        log.frames.iter().map(tokens).collect()
     }
 
     /// Times of the key frames, microseconds.

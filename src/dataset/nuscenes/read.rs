@@ -35,6 +35,7 @@ pub(super) fn read(
     }
     let mut log = Recording {
         name: scene.name.clone(),
+        token: scene.token.clone(),
         location: recorded.location.clone(),
         description: scene.description.clone(),
         cameras: shots.cameras,

@@ -19,6 +19,8 @@ use crate::geometry::{Camera, Cuboid, Pose};
 pub struct Recording {
     /// Scene or log name.
     pub name: String,
+    /// Identifier within the data set: the token of the scene in nuScenes, else empty.
+    pub token: String,
     /// Map location, for instance `singapore-onenorth`.
     pub location: String,
     /// Free-text description from the dataset.

@@ -110,13 +110,21 @@ impl Source<'_> {
 
     /// Returns the caption of the log.
     pub(crate) fn log_caption(&self) -> String {
-        self.options.captions.of(None, self.recording(), &self.options.prompt)
+        self.options.captions.of_log(self.recording(), &self.options.prompt)
     }
 
-    /// Returns the caption of a camera's image.
-    pub(crate) fn caption(&self, sample: &Sample<'_>, camera: usize) -> String {
-        let token = sample.images.get(camera).copied().flatten().map(|image| image.token.as_str());
-        self.options.captions.of(token, self.recording(), &self.options.prompt)
+    /// Returns the captions of the cameras' images.
+    pub(crate) fn captions(&self, sample: &Sample<'_>) -> Vec<String> {
+        let (log, options) = (self.recording(), self.options);
+        let channels = sample.state.cameras.iter().map(|camera| &camera.view.camera.name);
+        let channels: Vec<usize> =
+            channels.map(|name| log.cameras.iter().position(|of_log| of_log == name).unwrap_or(0)).collect();
+        let mut images = vec![None; log.cameras.len()];
+        for (channel, image) in channels.iter().zip(&sample.images) {
+            images[*channel] = *image;
+        }
+        let captions = options.captions.of_cameras(log, sample.state.t_us, &images, &options.prompt);
+        channels.into_iter().map(|channel| captions[channel].clone()).collect()
     }
 }
 

@@ -47,10 +47,10 @@ impl LayoutWriter for Package<'_> {
         }
         let meta = source.meta(maps);
         let mut infos = Map::new();
-        for (index, camera) in meta.cameras.iter().enumerate() {
+        for ((index, camera), caption) in meta.cameras.iter().enumerate().zip(source.captions(sample)) {
             let mut info = json!({
                 "extrin": camera.ego_from_camera, "intrin": camera.intrinsics,
-                "image_description": source.caption(sample, index),
+                "image_description": caption,
             });
             let exists = |path: &String| files.iter().any(|file| file.name == *path);
             for kind in MapKind::ALL {

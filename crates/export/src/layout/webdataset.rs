@@ -8,6 +8,7 @@
 use std::borrow::Cow;
 use std::path::Path;
 
+use point_skeleton::cloud::cameras::rows;
 use point_skeleton::conditions::write::safetensors;
 use point_skeleton::error::FileError;
 use point_skeleton::{MapKind, Maps};
@@ -52,10 +53,15 @@ impl LayoutWriter for Tar<'_> {
         meta["log"] = serde_json::json!(source.recording().name);
         meta["frame"] = serde_json::json!(sample.frame);
         meta["caption"] = serde_json::json!(source.log_caption());
-        for (index, image) in sample.images.iter().enumerate() {
-            meta["cameras"][index]["token"] = serde_json::json!(image.map(|image| &image.token));
-            meta["cameras"][index]["t_us"] = serde_json::json!(image.map(|image| image.t_us));
-            meta["cameras"][index]["caption"] = serde_json::json!(source.caption(sample, index));
+        meta["global_from_ego"] = serde_json::json!(rows(&sample.state.global_from_ego.affine()));
+        let views = sample.state.cameras.iter().map(|camera| &camera.view.camera);
+        let cameras = sample.images.iter().zip(source.captions(sample)).zip(views);
+        for (index, ((image, caption), view)) in cameras.enumerate() {
+            let camera = &mut meta["cameras"][index];
+            camera["token"] = serde_json::json!(image.map(|image| &image.token));
+            camera["t_us"] = serde_json::json!(image.map(|image| image.t_us));
+            camera["original_size"] = serde_json::json!([view.height, view.width]);
+            camera["caption"] = serde_json::json!(caption);
         }
         self.append(&format!("{key}.json"), &[Cow::Owned(meta.to_string().into_bytes())])?;
         let mut files = Vec::new();

@@ -62,7 +62,7 @@ fn conditions() -> FrameConditions {
         dropped: DroppedConditions::default(),
         action: [0.5, 0.0, 0.1],
         cameras: vec![[0.25; 16]],
-        prompt: String::new(),
+        prompts: Default::default(),
     }
 }
 

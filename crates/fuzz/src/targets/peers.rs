@@ -205,7 +205,7 @@ fn ask(spec: &PeerSpec) -> Result<(), pskel_generate::DenoiserError> {
         dropped: DroppedConditions::default(),
         action: [0.0; 3],
         cameras: vec![[0.5; 16]; VIEWS],
-        prompt: String::new(),
+        prompts: Default::default(),
     };
     let latent = Latent::filled(shape, 0.5);
     let frame = Frame {

@@ -1,6 +1,6 @@
 use std::sync::Arc;
 
-use point_skeleton::conditions::{ConditionOptions, ConditionSet, FrameCaptions, MapKind};
+use point_skeleton::conditions::{ConditionOptions, ConditionSet, FrameCaptions, MapKind, Prompts};
 use point_skeleton::dataset::Recording;
 use point_skeleton::geometry::Pose;
 use point_skeleton::scene::{SceneMap, SceneState};
@@ -14,7 +14,7 @@ pub struct Conditioner<'a> {
     log: &'a Recording,
     map: Option<Arc<SceneMap>>,
     maps: MapOptions,
-    prompt: String,
+    prompt: Prompts,
     /// Captions by time, in place of the prompt.
     captions: Option<FrameCaptions>,
 }
@@ -45,7 +45,7 @@ impl<'a> Conditioner<'a> {
     /// Creates a conditioner for a log and its HD map.
     pub fn new(log: &'a Recording, map: Option<Arc<SceneMap>>, recipe: &Recipe, prompt: &str) -> Self {
         let maps = MapOptions::new(recipe.options(map.is_some()), recipe.selection());
-        Self { log, map, maps, prompt: prompt.to_owned(), captions: None }
+        Self { log, map, maps, prompt: Prompts::Frame(prompt.to_owned()), captions: None }
     }
 
     /// Sets captions by time, in place of the prompt.
@@ -109,9 +109,9 @@ impl<'a> Conditioner<'a> {
     ) -> Result<RenderedConditions, ConditionerError> {
         let state = scene_state(self.log, instant, self.map.clone());
         let set = renderer.render_with(&state, &self.maps)?.set;
-        let prompt =
-            self.captions.as_ref().map_or(self.prompt.as_str(), |captions| captions.at(instant.t_us));
-        let conditions = FrameConditions::new(&set, &state, before, prompt, self.maps.conditions.depth_bins)?;
+        let prompts = self.captions.as_ref().map_or(&self.prompt, |captions| captions.at(instant.t_us));
+        let conditions =
+            FrameConditions::new(&set, &state, before, prompts, self.maps.conditions.depth_bins)?;
         Ok(RenderedConditions { state, set, conditions })
     }
 }

@@ -2,7 +2,9 @@ use std::hash::Hasher;
 
 use bytemuck::cast_slice;
 use point_skeleton::conditions::tensor::{LAYOUT_CHANNELS, POINT_CHANNELS, layout};
-use point_skeleton::conditions::{CameraConditions, ConditionSet, DepthBins, DepthEmbedding, TensorEncoder};
+use point_skeleton::conditions::{
+    CameraConditions, ConditionSet, DepthBins, DepthEmbedding, Prompts, TensorEncoder,
+};
 use point_skeleton::geometry::{ImageSize, Pose};
 use point_skeleton::scene::SceneState;
 use rand_seeder::SipHasher;
@@ -33,8 +35,8 @@ pub struct FrameConditions {
     /// Parameters of each camera, `[V, 16]`: the upper three rows of `ego_from_camera` (row-major, meters),
     /// then focal lengths and principal point (x, y each) as fractions of width and height.
     pub cameras: Vec<[f32; CAMERA_NUMBERS]>,
-    /// Prompt for a text encoder; may be empty.
-    pub prompt: String,
+    /// Texts for a text encoder; may be empty.
+    pub prompts: Prompts,
 }
 
 /// Number of parameters per camera in [`FrameConditions::cameras`].
@@ -56,7 +58,7 @@ impl FrameConditions {
         set: &ConditionSet,
         state: &SceneState,
         before: Option<Pose>,
-        prompt: &str,
+        prompts: &Prompts,
         depth_bins: DepthBins,
     ) -> Result<Self, DenoiserError> {
         let size = set.cameras.first().map(CameraConditions::size);
@@ -71,7 +73,7 @@ impl FrameConditions {
             dropped: DroppedConditions::default(),
             action: action(before, state),
             cameras: state.cameras.iter().map(camera_numbers).collect(),
-            prompt: prompt.to_owned(),
+            prompts: prompts.clone(),
         };
         for camera in &set.cameras {
             frame.add(camera)?;
@@ -145,7 +147,7 @@ impl FrameConditions {
         views.flat_map(|(boxes, map)| layout(boxes, Some(map))).collect()
     }
 
-    /// Returns a hash of everything but the prompt.
+    /// Returns a hash of everything but the texts.
     pub fn fingerprint(&self) -> u64 {
         let mut hasher = SipHasher::new();
         for rgb in [&self.color, &self.boxes, &self.map] {
@@ -185,7 +187,7 @@ impl Condition for FrameConditions {
         let mut left = Self { dropped: self.dropped.or(dropped), ..self.clone() };
         if dropped.action {
             left.action.fill(NO_ACTION);
-            left.prompt.clear();
+            left.prompts = Prompts::default();
         }
         left
     }
@@ -234,7 +236,8 @@ mod tests {
 
     fn made(set: &ConditionSet) -> Result<FrameConditions, DenoiserError> {
         let before = Pose::from_yaw(0.4, DVec3::new(-1.0, 0.0, 0.0));
-        FrameConditions::new(set, &state(1.0), Some(before), "rain", DepthBins::default())
+        let rain = Prompts::Frame("rain".to_owned());
+        FrameConditions::new(set, &state(1.0), Some(before), &rain, DepthBins::default())
     }
 
     /// The tensors are those that the renderer makes of the same maps.
@@ -250,7 +253,8 @@ mod tests {
         // The ego moved two meters along x, at a yaw of 0.4, and turned 0.1 to the left.
         let moved = [2.0 * 0.4_f32.cos(), -2.0 * 0.4_f32.sin(), 0.1];
         assert!(whole.action.iter().zip(moved).all(|(a, b)| (a - b).abs() < 1e-6), "{:?}", whole.action);
-        let first = FrameConditions::new(&set, &state(0.0), None, "", DepthBins::default()).unwrap();
+        let first =
+            FrameConditions::new(&set, &state(0.0), None, &Prompts::default(), DepthBins::default()).unwrap();
         assert_eq!(first.action, [0.0; 3]);
         let numbers = whole.cameras[1];
         assert_eq!(
@@ -280,7 +284,7 @@ mod tests {
         let guided = whole.without(DroppedConditions::GUIDED);
         assert_eq!(guided.points(), whole.points());
         assert!(guided.layout().iter().all(|v| *v == 0.1255) && guided.action == [-1000.0; 3]);
-        assert!(guided.prompt.is_empty() && guided.cameras == whole.cameras);
+        assert!(guided.prompts == Prompts::default() && guided.cameras == whole.cameras);
         let color = whole.without(DroppedConditions { color: true, ..DroppedConditions::default() });
         let depth = whole.without(DroppedConditions { depth: true, ..DroppedConditions::default() });
         assert_eq!((color.layout(), color.action), (whole.layout(), whole.action));

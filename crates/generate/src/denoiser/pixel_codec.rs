@@ -104,7 +104,7 @@ mod tests {
             dropped: crate::DroppedConditions::default(),
             action: [0.0; 3],
             cameras: Vec::new(),
-            prompt: String::new(),
+            prompts: Default::default(),
         }
     }
 

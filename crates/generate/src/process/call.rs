@@ -1,4 +1,5 @@
 use half::{bf16, f16};
+use point_skeleton::conditions::Prompts;
 use point_skeleton::conditions::tensor::{LAYOUT_CHANNELS, POINT_CHANNELS};
 use point_skeleton::geometry::ImageSize;
 use pskel_sim::peer::ProtocolError;
@@ -46,7 +47,7 @@ pub(super) fn request(
             parts(window, |f| f.condition.cameras.as_flattened()),
         ),
     ];
-    let prompts: Vec<&str> = window.iter().map(|frame| frame.condition.prompt.as_str()).collect();
+    let prompts: Vec<&Prompts> = window.iter().map(|frame| &frame.condition.prompts).collect();
     let references: Vec<bool> = window.iter().map(|frame| frame.is_reference).collect();
     let texts = [
         ("ask", "predict".to_owned()),

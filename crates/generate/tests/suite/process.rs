@@ -6,7 +6,7 @@ use std::os::unix::net::UnixListener;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command};
 
-use point_skeleton::conditions::DepthBins;
+use point_skeleton::conditions::{DepthBins, Prompts};
 use point_skeleton::geometry::ImageSize;
 use pskel_generate::{
     DenoiserError, DenoiserRig, DroppedConditions, Frame, FrameConditions, GaussianNoise, GenerateError,
@@ -97,7 +97,10 @@ fn conditions(number: usize) -> FrameConditions {
         dropped: DroppedConditions::default(),
         action: [number as f32, 0.5, -0.25],
         cameras: cameras.collect(),
-        prompt: format!("frame {number}, \"rain\""),
+        prompts: match number {
+            0 => Prompts::Frame("frame 0, \"rain\"".to_owned()),
+            _ => Prompts::Cameras(vec![format!("left {number}"), String::new()]),
+        },
     }
 }
 
@@ -250,8 +253,7 @@ fn denoisers_receive_the_documented_messages() {
     let bytes = seen("1");
     let reported = texts(&bytes);
     let conditions: Vec<FrameConditions> = (0..4).map(conditions).collect();
-    let prompts: Vec<String> = serde_json::from_str(&reported["prompts"]).unwrap();
-    assert_eq!(prompts, conditions.iter().map(|c| c.prompt.clone()).collect::<Vec<_>>());
+    assert_eq!(reported["prompts"], r#"["frame 0, \"rain\"",["left 1",""],["left 2",""],["left 3",""]]"#);
     assert_eq!(reported["call"], "1");
     assert_eq!(reported["references"], "[true,false,false,false]");
     let message = SafeTensors::deserialize(&bytes).unwrap();

@@ -83,7 +83,7 @@ mod tests {
             dropped: DroppedConditions::default(),
             action: [0.0; 3],
             cameras: vec![[0.5; 16]; 2],
-            prompt: String::new(),
+            prompts: Default::default(),
         };
         let latent = filled.encode(&[]).unwrap();
         let images = filled.decode(&latent, &conditions).unwrap();

@@ -33,7 +33,8 @@ pub struct Provenance {
 }
 
 /// Weights of a network. The file is safetensors, f32, with the names and layouts of the PyTorch modules of
-/// `pskel.models.small`; everything else is JSON in the metadata entry `network`.
+/// `pskel.models.small`; configuration and statistics are JSON in the metadata entry `network`, and the
+/// provenance in `training`.
 #[derive(Clone, Debug)]
 pub struct Weights {
     /// Configuration of the network.
@@ -56,10 +57,10 @@ struct Array {
 struct Header {
     config: NetworkConfig,
     statistics: Statistics,
-    about: Provenance,
 }
 
 const HEADER: &str = "network";
+const TRAINING: &str = "training";
 /// Output of `python -m pskel.train`.
 const SHIPPED: &[u8] = include_bytes!("../../shipped/weights.safetensors");
 
@@ -105,14 +106,16 @@ impl Weights {
         use std::io::Write;
         let Self { config, statistics, about, arrays } = self.clone();
         let failed = |error: String| FileError::io("write", path)(std::io::Error::other(error));
-        let header = serde_json::to_string(&Header { config, statistics, about });
-        let header = header.map_err(|error| failed(error.to_string()))?;
+        let text = |json: serde_json::Result<String>| json.map_err(|error| failed(error.to_string()));
+        let header = text(serde_json::to_string(&Header { config, statistics }))?;
+        let training = text(serde_json::to_string(&about))?;
         let mut views = Vec::with_capacity(arrays.len());
         for (name, array) in &arrays {
             let view = TensorView::new(Dtype::F32, array.shape.clone(), cast_slice(&array.values));
             views.push((name, view.map_err(|error| failed(error.to_string()))?));
         }
-        let bytes = serialize(views, Some(HashMap::from([(HEADER.to_owned(), header)])));
+        let entries = [(HEADER.to_owned(), header), (TRAINING.to_owned(), training)];
+        let bytes = serialize(views, Some(HashMap::from(entries)));
         let bytes = bytes.map_err(|error| failed(error.to_string()))?;
         write_whole(path, |out| out.write_all(&bytes).map_err(FileError::io("write", path)))
     }
@@ -136,12 +139,12 @@ impl Weights {
 
     /// Returns the recipe of the weights that are included in the program.
     pub(crate) fn shipped_recipe() -> Result<Recipe, NetworkError> {
-        Ok(header(SHIPPED, Path::new("../../shipped/weights.safetensors"))?.config.recipe)
+        Ok(header(SHIPPED, Path::new("../../shipped/weights.safetensors"))?.0.config.recipe)
     }
 
     fn read(bytes: &[u8], path: &Path) -> Result<Self, NetworkError> {
         let wrong = |found: String| FileError::content("weights", found, path);
-        let Header { config, statistics, about } = header(bytes, path)?;
+        let (Header { config, statistics }, about) = header(bytes, path)?;
         config.check_with(&statistics).map_err(|error| in_file(error, path))?;
         let tensors = SafeTensors::deserialize(bytes).map_err(|e| wrong(e.to_string()))?;
         let mut stored = Stored { tensors: &tensors, path, taken: BTreeMap::new() };
@@ -155,13 +158,14 @@ impl Weights {
     }
 }
 
-/// Parses the header of a file.
-fn header(bytes: &[u8], path: &Path) -> Result<Header, FileError> {
+/// Parses the header of a file. Weights that something else wrote may lack a provenance.
+fn header(bytes: &[u8], path: &Path) -> Result<(Header, Provenance), FileError> {
     let wrong = |found: String| FileError::content("weights", found, path);
     let (_, head) = SafeTensors::read_metadata(bytes).map_err(|e| wrong(format!("no safetensors: {e}")))?;
-    let header = head.metadata().as_ref().and_then(|all| all.get(HEADER));
-    let header = header.ok_or_else(|| wrong(format!("no {HEADER} in the header")))?;
-    json::parsed(header.as_bytes()).map_err(wrong)
+    let entry = |name| head.metadata().as_ref().and_then(|all| all.get(name));
+    let header = entry(HEADER).ok_or_else(|| wrong(format!("no {HEADER} in the header")))?;
+    let about = entry(TRAINING).map_or(Ok(Provenance::default()), |text| json::parsed(text.as_bytes()));
+    Ok((json::parsed(header.as_bytes()).map_err(wrong)?, about.map_err(wrong)?))
 }
 
 /// Adds the path of the file to an error about its content.

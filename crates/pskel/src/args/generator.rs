@@ -53,16 +53,18 @@ pub(crate) struct GeneratorArgs {
     /// Seed of the noise [default: 0]
     #[arg(long, value_name = "SEED")]
     noise_seed: Option<u64>,
-    /// With process:.., the kind of its predictions [default: flow_match]
+    /// With process:.., the kind of its predictions [default: that of --recipe, else flow_match]
     #[arg(long, value_parser = names::<SamplerOptions>())]
     sampler: Option<SamplerOptions>,
     /// With process:.. and fill, the recipe of the conditions as JSON, in which missing fields have their
-    /// defaults; or pas-nuscenes or pas-nuplan, that of a network of the paper with the defaults of its
-    /// window, steps and guidance [default for fill: that of the shipped network]
+    /// defaults; or pas-nuscenes, pas-nuplan, pas-image-nuscenes or pas-image-nuplan, that of a network of the
+    /// paper with the defaults of its window, steps, sampler and guidance [default for fill: that of the
+    /// shipped network]
     #[arg(long, value_name = "RECIPE")]
     recipe: Option<PathBuf>,
     /// Captions, in place of the prompt of --annotations, by name of a recording or token of an image:
-    /// {"scene-0061": "Parked truck, turn left"}. A frame without one has that of the frame before
+    /// {"scene-0061": "Parked truck, turn left"}, or per camera and time as OpenDWM's. A frame without one has
+    /// that of the frame before
     #[arg(long, value_name = "F.json")]
     captions: Option<PathBuf>,
     /// With process:.., time-out for each of its answers, seconds [default: 60]
@@ -157,7 +159,7 @@ impl GeneratorArgs {
             steps: self.infer_steps.or(preset.as_ref().map(|preset| preset.steps)),
             clean,
             strategy,
-            sampler: self.sampler.unwrap_or_default(),
+            sampler: self.sampler.or(preset.as_ref().map(|preset| preset.sampler)).unwrap_or_default(),
             guidance: Guidance { scale: self.guidance.unwrap_or(default_guidance), dropped },
             noise_seed: self.noise_seed.unwrap_or(defaults.noise_seed),
             recipe,
