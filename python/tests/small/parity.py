@@ -102,7 +102,7 @@ def small() -> SmallNetwork:
 
 def main() -> None:
     """Write the files."""
-    save(small(), FOLDER / "small.safetensors", {"seed": 5, "steps": 0, "logs": [], "command": ""})
+    save(small(), FOLDER / "small.safetensors")
     save_file(outputs(load(FOLDER / "small.safetensors"), 1), FOLDER / "small-outputs.safetensors")
     save_file(outputs(load(SHIPPED), STEP), FOLDER / "shipped-outputs.safetensors")
 

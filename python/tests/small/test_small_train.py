@@ -14,7 +14,7 @@ from pskel.models.small.augment import Dice, augmented  # noqa: E402
 from pskel.models.small.draws import DrawOptions, Frames, Statistics, draw_batch, draw_levels, sigmas_of  # noqa: E402
 from pskel.models.small.fill import fill  # noqa: E402
 from pskel.models.small.levels import Levels  # noqa: E402
-from pskel.models.small.losses import Discriminator, answer_loss, guess_errors  # noqa: E402
+from pskel.models.small.losses import Discriminator, answer_loss, guess_errors, similarity  # noqa: E402
 from pskel.models.small.network import SmallNetwork  # noqa: E402
 from pskel.models.small.weights import load, save  # noqa: E402
 
@@ -45,6 +45,26 @@ def test_holes_are_filled_as_the_program_fills_them(size: tuple[int, int]) -> No
     found = fill(torch.from_numpy(color).permute(0, 3, 1, 2).float() / 255, known)
     off = found.permute(0, 2, 3, 1).numpy() * 255 - expected
     assert np.abs(off).max() <= 0.5 + 1e-3, np.abs(off).max()
+
+
+def test_similarity_is_that_of_windows() -> None:
+    generator = torch.Generator().manual_seed(2)
+    truth = torch.rand(2, 3, 20, 24, generator=generator)
+    images = (truth + 0.2 * torch.randn(truth.shape, generator=generator)).clamp(0, 1)
+    x, y = (
+        np.lib.stride_tricks.sliding_window_view(each.double().numpy(), (11, 11), (2, 3)) for each in (images, truth)
+    )
+    taps = np.exp(-(np.arange(-5, 6) ** 2) / 4.5)
+    weights = np.outer(taps, taps) / taps.sum() ** 2
+
+    def mean(values: Any) -> Any:
+        return (values * weights).sum((-2, -1))
+
+    mx, my = mean(x), mean(y)
+    variances = mean(x * x) - mx**2 + mean(y * y) - my**2
+    expected = (2 * mx * my + 1e-4) / (mx**2 + my**2 + 1e-4) * (2 * (mean(x * y) - mx * my) + 9e-4) / (variances + 9e-4)
+    assert np.abs(similarity(images, truth).numpy() - expected.mean((1, 2, 3))).max() < 1e-5
+    assert (similarity(truth, truth) - 1).abs().max() < 1e-5
 
 
 def test_the_target_is_the_answer_that_recovers_clean_latents() -> None:
@@ -138,7 +158,7 @@ def test_the_discriminator_returns_all_layers() -> None:
 
 def test_weights_round_trip_and_others_are_refused(tmp_path: Path) -> None:
     network, path = parity.small(), tmp_path / "w.safetensors"
-    save(network, path, {"seed": 1, "steps": 2, "logs": ["a"], "command": "c"})
+    save(network, path)
     again = load(path)
     assert again.config == network.config and torch.equal(again.priors, network.priors)
     assert all(torch.equal(a, b) for a, b in zip(network.parameters(), again.parameters()))

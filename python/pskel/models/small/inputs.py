@@ -43,8 +43,11 @@ class Maps(NamedTuple):
 
     def known(self) -> tuple[Tensor, Tensor]:
         """Return where color and depth are known, ``[N, 1, H, W]``, 0 or 1."""
-        has_color = (self.color != 0).any(1, keepdim=True) & (self.color != NO_COLOR).any(1, keepdim=True)
-        return has_color.to(self.color.dtype), (self.depth >= 0).to(self.color.dtype)
+        # Three comparisons: reductions over so few channels are slow.
+        red, green, blue = self.color.split(1, 1)
+        is_black = (red == 0) & (green == 0) & (blue == 0)
+        is_dropped = (red == NO_COLOR) & (green == NO_COLOR) & (blue == NO_COLOR)
+        return (~(is_black | is_dropped)).to(self.color.dtype), (self.depth >= 0).to(self.color.dtype)
 
 
 def full_planes(maps: Maps) -> Tensor:
@@ -91,8 +94,8 @@ def directions(cameras: Tensor, height: int, width: int) -> Tensor:
     y = (torch.arange(height, dtype=torch.float64, device=cameras.device)[None, :, None] + 0.5) / height
     x = (torch.arange(width, dtype=torch.float64, device=cameras.device)[None, None] + 0.5) / width
     right, low = torch.broadcast_tensors((x - cx) / fx, (y - cy) / fy)
-    rays = torch.stack([right, low, torch.ones_like(right)], 1)
-    rays = rays / rays.norm(dim=1, keepdim=True)
+    length = (right.square() + low.square() + 1).sqrt()
+    rays = torch.stack([right / length, low / length, 1 / length], 1)
     rotations = numbers[:, :12].reshape(-1, 3, 4)[:, :, :3]
     return torch.einsum("nij,njhw->nihw", rotations, rays).to(cameras.dtype)
 

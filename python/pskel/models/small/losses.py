@@ -9,7 +9,7 @@ from torch import Tensor, nn
 from .draws import Batch, Statistics
 from .levels import Levels
 
-__all__ = ["Discriminator", "answer_loss", "image_weights"]
+__all__ = ["Discriminator", "answer_loss", "guess_errors", "image_weights", "similarity"]
 
 
 def guess_errors(batch: Batch, statistics: Statistics, expected_error: float) -> Tensor:
@@ -34,6 +34,24 @@ def image_weights(batch: Batch, errors: Tensor) -> Tensor:
     """Return the weight of each crop's error, ``[K, 1, 1, 1]``; smaller where conditions were dropped."""
     views = batch.clean.shape[2]
     return errors.flatten().rsqrt()[batch.places[:, 0] // views][:, None, None, None]
+
+
+def similarity(images: Tensor, truth: Tensor) -> Tensor:
+    """Return the structural similarity of each image ``[K, 3, H, W]``, 0 to 1: ``[K]``, as ``pskel evaluate`` computes it.
+
+    Source: Wang et al., "Image Quality Assessment: From Error Visibility to Structural Similarity", 2004.
+    """
+    with torch.autocast(images.device.type, enabled=False):
+        x, y = images.float(), truth.float()
+        taps = torch.exp(-(torch.arange(-5, 6, device=x.device, dtype=x.dtype) ** 2) / (2 * 1.5**2))
+        taps = taps / taps.sum()
+        planes = torch.cat([x, y, x * x, y * y, x * y], 1)
+        taps = taps.repeat(planes.shape[1], 1)
+        across = F.conv2d(planes, taps[:, None, None], groups=len(taps))
+        mx, my, xx, yy, xy = F.conv2d(across, taps[:, None, :, None], groups=len(taps)).chunk(5, 1)
+        c1, c2 = 0.01**2, 0.03**2
+        structure = (2 * (xy - mx * my) + c2) / (xx - mx * mx + yy - my * my + c2)
+        return ((2 * mx * my + c1) / (mx * mx + my * my + c1) * structure).mean((1, 2, 3))
 
 
 class Discriminator(nn.Module):

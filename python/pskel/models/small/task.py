@@ -18,7 +18,7 @@ from .augment import Dice
 from .config import CELL, SmallConfig
 from .draws import Batch, DrawOptions, Frames, Statistics, draw_batch
 from .inputs import Maps, cells, ego_numbers, full_planes, token_rays, work_planes
-from .losses import Discriminator, answer_loss, guess_errors, image_weights
+from .losses import Discriminator, answer_loss, guess_errors, image_weights, similarity
 from .network import Features, SmallNetwork, Window
 from .weights import header, parameters
 
@@ -34,9 +34,11 @@ class LossOptions:
 
     absolute: float = 10.0
     square: float = 100.0
+    structure: float = 1.0
     adversarial: float = 0.1
     features: float = 2.0
-    """Of the decoded images: absolute and squared error, the discriminator, and the errors of its features."""
+    """Of the decoded images: absolute and squared error, 1 minus the structural similarity, the discriminator, and the errors of
+    its features."""
     adversarial_start: int = 1_000_000_000
     """First step with a discriminator, which is trained from ``adversarial_warmup`` steps before."""
     adversarial_warmup: int = 150
@@ -92,7 +94,7 @@ class SmallTask:
     @property
     def statistics(self) -> Statistics:
         """Statistics of the data."""
-        return Statistics(self.network.means, self.network.scales, self.network.priors)
+        return Statistics(*(each.cpu() for each in (self.network.means, self.network.scales, self.network.priors)))
 
     def prepare(self, clips: Iterator[Clip]) -> None:
         """Take the statistics, unless the network started from weights that have some."""
@@ -140,10 +142,12 @@ class SmallTask:
         self._images = images.detach()
         errors = guess_errors(drawn, statistics, self._losses.expected_error)
         answers = answer_loss(answer, drawn, statistics, errors)
-        off = (images - drawn.truth) * image_weights(drawn, errors)
+        weights = image_weights(drawn, errors)
+        off = (images - drawn.truth) * weights
         absolute, square = off.abs().mean(), off.square().mean()
-        loss = answers + self._losses.absolute * absolute + self._losses.square * square
-        logged = {"answer": answers.item(), "absolute": absolute.item(), "square": square.item()}
+        structure = ((1 - similarity(images, drawn.truth)) * weights.flatten()).mean()
+        loss = answers + self._losses.absolute * absolute + self._losses.square * square + self._losses.structure * structure
+        logged = {"answer": answers.item(), "absolute": absolute.item(), "square": square.item(), "structure": structure.item()}
         begun = step - self._losses.adversarial_start
         if begun >= 0 and "discriminator" in modules:
             with torch.no_grad():
@@ -200,7 +204,7 @@ class SmallTask:
         network = modules["network"]
         network = getattr(network, "module", network)
         assert isinstance(network, SmallNetwork)
-        return parameters(network), header(network, {"seed": 0, "steps": 0, "logs": [], "command": ""})
+        return parameters(network), header(network)
 
     def state(self) -> dict[str, Any]:
         """Return nothing: the statistics are buffers of the network."""
