@@ -1,7 +1,6 @@
 """Rollouts with the video network: by the rules of the loop, through its process, and by the loop of the package."""
 
 import json
-from collections.abc import Callable
 
 import numpy as np
 import pskel
@@ -9,57 +8,16 @@ import pytest
 from pas_base import Array, Peer, unpack
 
 pytest.importorskip("torch")
-diffusers = pytest.importorskip("diffusers")
+pytest.importorskip("diffusers")
 pytest.importorskip("transformers")
 from pas_frames import SHAPE, H, L, V, W, condition, needs_fixture, request, window  # noqa: E402
+from pas_rolls import Network, roll_out  # noqa: E402
 from pskel.models.pas import Denoiser, FrameCondition  # noqa: E402
 
 pytest_plugins = ["pas_frames"]
 pytestmark = needs_fixture
 
 STEPS = 3
-Network = Callable[[Array, Array, Array, list[FrameCondition]], Array]
-
-
-def table() -> tuple[Array, Array]:
-    """Sigmas and timesteps of the Stable Diffusion 3.5 scheduler."""
-    scheduler = diffusers.FlowMatchEulerDiscreteScheduler(shift=3.0)
-    scheduler.set_timesteps(STEPS)
-    return scheduler.sigmas.numpy(), scheduler.timesteps.numpy()
-
-
-def roll_out(
-    network: Network, references: list[Array], conditions: list[FrameCondition], noise: list[list[Array]], guidance: float
-) -> list[Array]:
-    """Reset-and-Roll, step by step: L - 1 references, then a frame per list of noise (one for each roll)."""
-    sigmas, timesteps = table()
-    per_roll = STEPS // L
-    cache, finished_references = list(references), L - 1
-    frames = []
-    for step, draws in enumerate(noise):
-        current = L - 1 + step
-        latents, known, is_full = cache, finished_references, len(cache) == L
-        for roll, fresh in enumerate(draws):
-            if is_full or roll:
-                latents, known = latents[1:], max(known - 1, 0)
-            latents = [*latents, fresh]
-            shown = conditions[current + roll - L + 1 : current + roll + 1]
-            for call in range(STEPS - per_roll, STEPS):
-                own = [call - j * per_roll for j in range(L)]
-                index = [STEPS - 1 if j < known else min(max(own[j], 0), STEPS - 1) for j in range(L)]
-                arguments = np.stack(latents), timesteps[index], sigmas[index]
-                velocity = network(*arguments, shown)
-                if guidance != 1.0:
-                    without = network(*arguments, [frame.without("layout", "action") for frame in shown])
-                    velocity = without + np.float32(guidance) * (velocity - without)
-                latents = [
-                    x + (sigmas[i + 1] - sigmas[i]) * v if j >= known and own[j] >= 0 else x
-                    for j, (x, i, v) in enumerate(zip(latents, index, velocity))
-                ]
-            if roll == 0:  # it has seen no forecast
-                cache, finished_references = latents, known
-        frames.append(latents[0])
-    return frames
 
 
 def run_loop(network: Network, references: list[Array], count: int, guidance: float) -> list[Array]:
@@ -133,8 +91,9 @@ def test_rollouts_are_the_same(peer: Peer, denoiser: Denoiser, guidance: float) 
     assert len(seen) == count * L
     noise = [[draw for draw, _, _ in seen[step * L : (step + 1) * L]] for step in range(count)]
 
-    rolled = roll_out(denoiser, references, [condition(i) for i in range(count + 2 * L)], noise, guidance)
-    other = roll_out(through(peer), references, [condition(i) for i in range(count + 2 * L)], noise, guidance)
+    conditions = [condition(i) for i in range(count + 2 * L)]
+    rolled = roll_out(denoiser, references, conditions, noise, guidance, STEPS)
+    other = roll_out(through(peer), references, conditions, noise, guidance, STEPS)
     looped = run_loop(denoiser, references, count, guidance)
     assert len(rolled) == len(other) == len(looped) == count
     for ours, theirs, packaged in zip(rolled, other, looped):

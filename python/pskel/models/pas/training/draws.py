@@ -37,6 +37,14 @@ class Draws(NamedTuple):
     input_offset: Tensor
     single_frames: Tensor
     """Of the choice of clips without attention across frames, ``[B]``."""
+    roll: Tensor
+    """Of the choice of clips with the noise levels of a roll, ``[B]``."""
+    roll_place: Tensor
+    """Progress of the roll, ``[B]``."""
+    references: Tensor
+    """Of the choice of clips with clean reference frames, ``[B]``."""
+    reference_count: Tensor
+    """Of their number, ``[B]``."""
 
     @classmethod
     def sample(cls, generator: torch.Generator, clips: int, latents: Sequence[int]) -> Draws:
@@ -62,6 +70,10 @@ class Draws(NamedTuple):
             input_scale=normal(frames),
             input_offset=normal(frames),
             single_frames=uniform(),
+            roll=uniform(),
+            roll_place=uniform(),
+            references=uniform(),
+            reference_count=uniform(),
         )
 
     @classmethod

@@ -39,6 +39,8 @@ class Preset(NamedTuple):
     drop_action: float = 0.2
     """0 in the authors' nuPlan configurations: their key for it is misspelt, so that it has no effect."""
     camera_numbers: CameraNumbers = "fx,fy,cx,cy"
+    variants: int = 1
+    """Variants of each log: all but the first have degraded assets."""
 
 
 _NUSCENES = {
@@ -62,6 +64,9 @@ _NUPLAN = {
 }
 """Of the training. The authors' simulator, and ``--recipe pas-nuplan``, take 150 m: 2/3 of the trained depth values."""
 _FAR = {"radius_m": 100.0, "bins": {"far_m": 100.0}}
+
+_VARIANTS = 5
+"""Four of five variants degrade 0.8 of their assets, 0.64 in sum; the paper states 0.8 of all."""
 
 _OPENDWM = "OpenDWM's checkpoint ctsd_35_df16_tirda_bm_nwao_40k"
 _PER_CAMERA = "per frame and camera: time, weather, environment, objects, description, in random order"
@@ -126,7 +131,7 @@ PRESETS: Mapping[str, Preset] = {
         prompt=_PER_CAMERA,
     ),
     "paper-nuplan": Preset(
-        follows="the paper, whose instance augmentation is data.variants; what it does not state is the authors' code",
+        follows="the paper, with its instance augmentation; what it does not state is the authors' code",
         starts_from=_OPENDWM,
         recipe=_NUPLAN,
         frames=10,
@@ -137,6 +142,7 @@ PRESETS: Mapping[str, Preset] = {
         processes=8,
         steps=15_000,
         prompt="WEATHER. A driving scene in CITY",
+        variants=_VARIANTS,
     ),
 }
 """Common to all: AdamW (0.9, 0.999) with weight decay 0.01 on every tensor, a constant rate, no clipping, no EMA."""
@@ -148,6 +154,7 @@ def configuration(name: str) -> str:
     recipe = ", ".join(f"{key} = {_toml(value)}" for key, value in preset.recipe.items())
     steps = preset.steps or 10_000
     note = "" if preset.steps else "  # the authors: 10 passes over the clips"
+    variants = f"\nvariants = {preset.variants}" if preset.variants > 1 else ""
     return f"""\
 # Follows {preset.follows}. Starts from {preset.starts_from}.
 # {preset.processes} process(es), one per GPU. Captions: {preset.prompt}.
@@ -162,7 +169,7 @@ precision = "bf16"
 [data]
 frames = {preset.frames}
 hz = {preset.hz:g}
-stride = {round(preset.stride_s * _label_rate(preset))}
+stride = {round(preset.stride_s * _label_rate(preset))}{variants}
 recipe = {{ {recipe} }}
 
 [pas]

@@ -47,4 +47,6 @@ def _draws(noise: Tensor) -> Draws:
     """Numbers with which a dropout of 1 always drops, and one of 0 never."""
     half = torch.full(noise.shape[:1], 0.5, device=noise.device)
     per_frame = torch.zeros(noise.shape[:2], device=noise.device)
-    return Draws(noise, noise, per_frame, half, half, half, half, half, half, per_frame, per_frame, half)
+    given = {"posterior_noise": noise, "noise": noise}
+    given |= dict.fromkeys(("level", "input_scale", "input_offset"), per_frame)
+    return Draws(**{name: given.get(name, half) for name in Draws._fields})

@@ -1,7 +1,8 @@
 """The training step: network inputs and loss of a batch, as a function of explicit draws.
 
 It equals the step of the paper's authors: diffusion forcing (arXiv:2407.01392) with an independent noise level for each
-frame, flow matching (arXiv:2403.03206), dropouts of conditions, and errors in the noisy latents. Nothing is drawn here.
+frame, flow matching (arXiv:2403.03206), dropouts of conditions, and errors in the noisy latents. Options add the noise
+levels of rolls and clean reference frames. Nothing is drawn here.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ __all__ = [
     "Targets",
     "Texts",
     "conditioned",
+    "levels_of",
     "loss_of",
     "noisy_inputs",
     "shifted",
@@ -53,6 +55,10 @@ class StepOptions:
     input_scale_std: float = 0.01
     input_offset_std: float = 0.01
     """Errors of the noisy latents, of clips with attention across frames."""
+    roll_levels: float = 0.0
+    """Share of clips whose frames have the noise levels of a roll, rising from frame to frame."""
+    clean_references: float = 0.0
+    """Share of clips whose first frames, one or more but not all, have the lowest level, as references of a rollout."""
     depth: DepthMode = "continuous"
     """``continuous``, or ``both``, with sines and cosines."""
     with_points: bool = True
@@ -148,9 +154,32 @@ class Targets(NamedTuple):
 
 def sigmas_of(level: Tensor) -> Tensor:
     """Return the noise levels of normal numbers, of any shape: logit-normal, of the 1000 steps with shift 3."""
-    index = (level.sigmoid() * _LEVELS).floor().clamp(max=_LEVELS - 1)
-    steps = torch.arange(_LEVELS, 0, -1, dtype=torch.float32, device=level.device) / _LEVELS
-    return shifted(steps)[index.long()]
+    return _table(level.device)[_index(level.sigmoid())]
+
+
+def levels_of(draws: Draws, options: StepOptions) -> Tensor:
+    """Return the noise level of each frame, ``[B, T]``.
+
+    In a roll over T frames, frame j has the time (j + u) / T, with the same u between 0 and 1 for all frames: the window
+    of Reset-and-Roll after some of the inference steps of a roll. References have the last level of the table.
+    """
+    index = _index(draws.level.sigmoid())
+    count = index.shape[1]
+    frames = torch.arange(count, device=index.device)
+    rolled = _index(1.0 - (frames + draws.roll_place.unsqueeze(-1)) / count)
+    index = torch.where((draws.roll < options.roll_levels).unsqueeze(-1), rolled, index)
+    known = 1 + (draws.reference_count * (count - 1)).floor()
+    known = torch.where(draws.references < options.clean_references, known, 0.0)
+    return _table(index.device)[torch.where(frames < known.unsqueeze(-1), _LEVELS - 1, index)]
+
+
+def _index(progress: Tensor) -> Tensor:
+    """Return places in the table for the progress of denoising, 0 for noise to 1 for images."""
+    return (progress * _LEVELS).floor().clamp(0, _LEVELS - 1).long()
+
+
+def _table(device: torch.device) -> Tensor:
+    return shifted(torch.arange(_LEVELS, 0, -1, dtype=torch.float32, device=device) / _LEVELS)
 
 
 def shifted(time: Tensor) -> Tensor:
@@ -166,7 +195,7 @@ def noisy_inputs(
     options: StepOptions = StepOptions(),
 ) -> tuple[Inputs, Targets]:
     """Add noise to latents ``float32 [B, T, V, C, h, w]``, and drop conditions."""
-    sigma = sigmas_of(draws.level)
+    sigma = levels_of(draws, options)
     single_frames = draws.single_frames < options.single_frames
     sample = _per_frame(sigma) * draws.noise + (1.0 - _per_frame(sigma)) * latents
     sample = torch.where(_per_clip(single_frames, 6), sample, _with_errors(sample, draws, options))
