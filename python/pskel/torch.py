@@ -23,9 +23,11 @@ except ImportError as error:
 
 from . import Log, Renderer, Scene, Skeleton
 from ._types import RenderKeywords, check_names
-from .train.data.captions import CaptionOf, Captions, captions_of
+from .train.data.captions import Caption, CaptionOf, Captions, captions_of, captions_of_log, read_captions
+from .train.data.reader import frames_apart, is_steady
 from .train.data.logs import mounted_cameras
 from .train.data.numbers import camera_numbers, ego_motion
+from .train.errors import DataError
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
@@ -33,10 +35,6 @@ if TYPE_CHECKING:
 __all__ = ["Clip", "ClipSource", "ConditionDataset", "ConditionStream"]
 
 Augment = Callable[[Scene, np.random.Generator], Scene]
-
-
-_RATE_TOLERANCE = 0.05
-"""Relative difference between the rate of a log and a multiple of the rate of clips; recorded times are not exact."""
 
 
 class ClipSource(NamedTuple):
@@ -72,7 +70,7 @@ class _Clips:
         hz: float | None = None,
         images: bool = True,
         numbers: bool = False,
-        captions: CaptionOf | Captions | None = None,
+        captions: CaptionOf | Captions | str | os.PathLike[str] | None = None,
         augment: Augment | None = None,
         augment_assets: int | None = None,
         seed: int = 0,
@@ -80,7 +78,8 @@ class _Clips:
         **renderer: Unpack[RenderKeywords],
     ) -> None:
         if frames < 1 or stride < 1 or open_logs < 1:
-            raise ValueError(f"expected frames, stride and open_logs of 1 or more, found {frames}, {stride}, {open_logs}")
+            found = f"{frames}, {stride}, {open_logs}"
+            raise ValueError(f"expected frames, stride and open_logs of 1 or more, found {found}")
         if every is not None and hz is not None:
             raise ValueError(f"expected every or hz, found both: {every} and {hz}")
         if every is not None and every < 1:
@@ -97,7 +96,6 @@ class _Clips:
         self.stride = stride
         self.images = images
         self.numbers = numbers
-        self.captions = captions
         self.augment = augment
         self.augment_assets = augment_assets
         self.seed = seed
@@ -106,19 +104,23 @@ class _Clips:
         self._options = renderer
         self._opened: OrderedDict[int, _Opened] = OrderedDict()
         self._process = os.getpid()
-        times = [_times(source) for source in self.sources]
-        self._every = [every or 1 if hz is None else _every(all_us, hz, log) for (log, _), all_us in zip(self.sources, times)]
+        logs = [_name_and_times(source) for source in self.sources]
+        times = [np.array(times_us, np.int64) for _, times_us in logs]
+        self._captions = _of_logs(captions, self.sources, [name for name, _ in logs])
+        self._every = [
+            every or 1 if hz is None else _every(all_us, hz, source.log) for source, all_us in zip(self.sources, times)
+        ]
         self.clips = [
             Clip(source, first)
             for source, (all_us, step) in enumerate(zip(times, self._every))
             for first in range(0, len(all_us) - (frames - 1) * step, stride)
-            if hz is None or _is_steady(all_us[first : first + (frames - 1) * step + 1 : step], hz)
+            if hz is None or is_steady(all_us[first : first + (frames - 1) * step + 1 : step], hz)
         ]
         if not self.clips:
             least = (frames - 1) * min(self._every, default=1) + 1
             steady = "" if hz is None else f" without gaps at {hz} Hz"
-            found = [len(all_us) for all_us in times]
-            raise ValueError(f"expected a log of at least {least} key frames{steady}, found logs of {found}")
+            counts = [len(all_us) for all_us in times]
+            raise ValueError(f"expected a log of at least {least} key frames{steady}, found logs of {counts}")
 
     def set_epoch(self, epoch: int) -> None:
         """Set the epoch, which changes the random numbers of ``augment``."""
@@ -172,9 +174,11 @@ class _Clips:
             item["action"] = np.stack([ego_motion(a, b) for a, b in zip(poses, poses[1:]) if b is not None])
             item["cameras"] = np.stack([_numbers(log, frame, scene) for frame, scene in zip(frames, scenes)])
         tensors: dict[str, Any] = {name: torch.from_numpy(array) for name, array in item.items()}
-        if self.captions is not None:
-            names = scenes[0].cameras
-            tensors["captions"] = [list(captions_of(self.captions, log.name, frame, names)) for frame in frames]
+        if self._captions is not None:
+            captions, names, times_us = self._captions[source], scenes[0].cameras, log.times_us
+            tensors["captions"] = [
+                list(captions_of(captions, log.name, frame, times_us[frame], names)) for frame in frames
+            ]
         return tensors
 
     def _augmented(self, scene: Scene, index: int) -> Scene:
@@ -187,30 +191,37 @@ class _Clips:
         return {**self.__dict__, "_opened": OrderedDict()}
 
 
-def _times(source: ClipSource) -> list[int]:
-    """Times of a log's key frames, microseconds. The skeleton must contain the log."""
+def _name_and_times(source: ClipSource) -> tuple[str, list[int]]:
+    """Return the name of a log, which the skeleton must contain, and the times of its key frames, microseconds."""
     log, skeleton = Log(source.log), Skeleton(source.skeleton)
     if log.name not in skeleton.logs:
         found = ", ".join(skeleton.logs)
         raise ValueError(f"expected a skeleton of log {log.name}, found one of {found}: {source.skeleton}")
-    return log.times_us
+    return log.name, log.times_us
 
 
-def _every(times_us: list[int], hz: float, log: str) -> int:
-    """Key frames from one frame of a clip to the next at a rate; ValueError if the log's rate is not a multiple of it."""
+def _of_logs(
+    captions: CaptionOf | Captions | str | os.PathLike[str] | None, sources: Sequence[ClipSource], names: Sequence[str]
+) -> list[CaptionOf | dict[str, Caption]] | None:
+    """Return the captions of each log: files are large, and workers need those of their logs."""
+    if captions is None or callable(captions):
+        return None if captions is None else [captions] * len(names)
+    try:
+        every = read_captions(captions) if isinstance(captions, (str, os.PathLike)) else captions
+        return [captions_of_log(every, source.log, name) for source, name in zip(sources, names)]
+    except DataError as error:
+        raise ValueError(str(error)) from error
+
+
+def _every(times_us: np.ndarray[Any, np.dtype[np.int64]], hz: float, log: str) -> int:
+    """Return which key frame is the next one of a clip at a rate. Raises ``ValueError`` if the rates do not fit."""
     if len(times_us) < 2:
         return 1
     rate = 1e6 / float(np.median(np.diff(times_us)))
-    every = round(rate / hz)
-    if every < 1 or abs(rate / (hz * every) - 1) > _RATE_TOLERANCE:
+    every = frames_apart(rate, hz)
+    if every is None:
         raise ValueError(f"expected hz that divides the rate of the key frames, {rate:.4g} Hz, found {hz}: {log}")
     return every
-
-
-def _is_steady(times_us: list[int], hz: float) -> bool:
-    """Whether each frame is within half an interval of its time at a rate."""
-    off_s = (np.array(times_us) - times_us[0]) / 1e6 - np.arange(len(times_us)) / hz
-    return bool((np.abs(off_s) <= 0.5 / hz).all())
 
 
 def _scaled(scene: Scene, size: Sequence[int]) -> np.ndarray[Any, np.dtype[np.float64]]:
@@ -246,8 +257,9 @@ class ConditionDataset(_Clips, Dataset[dict[str, Any]]):
       (m), then fx/W, fy/H, cx/W, cy/H; and ``action`` ``float32 [T, 3]``: forward, left (m) and yaw (rad) since the
       previous frame of the same spacing, also that before the clip; zeros without one,
     - with ``captions``, ``captions``: a list of T lists of V texts. ``captions`` is a function of log name, frame
-      number and camera, or a mapping from log names to a text, texts of frames, or lists of texts per frame, in the
-      order of the cameras. Logs without one have empty texts.
+      number and camera; a mapping from log names to a text, texts of frames, or lists of texts per frame, in the order
+      of the cameras; or a JSON file of such a mapping, of the captions that OpenDWM publishes for nuScenes, or of those
+      of *Point as Skeleton* for nuPlan. Logs without one have empty texts.
 
     Clips begin every ``stride`` key frames. Their frames are consecutive key frames, every ``every``-th one, or key
     frames at the rate ``hz``, which must divide the key frame rate. With ``hz``, clips across gaps of the log are
@@ -255,7 +267,7 @@ class ConditionDataset(_Clips, Dataset[dict[str, Any]]):
     (``set_epoch``) and index only; recorded images do not follow a moved ego. ``augment_assets`` is the seed for
     degrading a share of the assets, the option ``augment`` of ``pskel.Renderer``. Other keyword arguments are passed to
     ``pskel.Renderer``, except ``maps`` and ``log``. Raises ``ValueError`` for a skeleton of other logs, for a rate that
-    does not divide a log's rate, and if no log is as long as a clip.
+    does not divide a log's rate, for another file of captions, and if no log is as long as a clip.
     """
 
     def __len__(self) -> int:

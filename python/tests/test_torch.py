@@ -1,6 +1,8 @@
 """Datasets for PyTorch."""
 
+import json
 import os
+import pickle
 import signal
 import subprocess
 import sys
@@ -131,12 +133,54 @@ def test_clips_take_every_nth_frame_or_a_rate(sources: list[tuple[str, str]], lo
 
 
 def test_clips_across_gaps_are_left_out_at_a_rate() -> None:
-    from pskel.torch import _every, _is_steady
+    from pskel.torch import _every
+    from pskel.train.data.reader import is_steady
 
-    times = [0, 100_000, 201_000, 300_000, 900_000]
+    times = np.array([0, 100_000, 201_000, 300_000, 900_000])
     assert [_every(times, hz, "log") for hz in (10, 5, 2)] == [1, 2, 5]
-    assert _is_steady(times[:4], 10) and _is_steady(times[0:4:2], 5)
-    assert not _is_steady(times, 10) and not _is_steady(times[0:5:2], 5)
+    assert is_steady(times[:4], 10) and is_steady(times[0:4:2], 5)
+    assert not is_steady(times, 10) and not is_steady(times[0:5:2], 5)
+
+
+def test_clips_at_half_the_rate_of_a_log(tmp_path: Path) -> None:
+    text, folder = "town:seed=7,frames=6,hz=12,lidar_hz=20,size=57x100", tmp_path / "skeleton"
+    times = pskel.Log(text).times_us
+    assert np.diff(times).tolist() == pytest.approx([1e6 / 12] * 5, abs=1)
+    pskel.build(pskel.Log(text), folder)
+    dataset = ConditionDataset(
+        [(text, str(folder))], out_size=OUT, frames=2, stride=2, hz=6.0, numbers=True, images=False, rasterizer="cpu"
+    )
+    assert [item["t_us"].tolist() for item in dataset] == [[times[0], times[2]], [times[2], times[4]]]
+    # The motion since the frame before the clip, at the same spacing.
+    torch.testing.assert_close(dataset[1]["action"][0], dataset[0]["action"][1], rtol=0, atol=0)
+    with pytest.raises(ValueError, match="expected hz that divides the rate of the key frames, 12 Hz, found 5.0"):
+        ConditionDataset([(text, str(folder))], out_size=OUT, hz=5.0)
+
+
+def test_captions_of_files(sources: list[tuple[str, str]], log: pskel.Log, tmp_path: Path) -> None:
+    """Captions of images, as published for nuScenes, with the name of the log in place of a scene token."""
+    path, (first, second) = tmp_path / "captions.json", log.times_us[1:3]
+    path.write_text(json.dumps({
+        f"{log.name}|CAM_FRONT|{first}": {"time": "day", "image_description": "front"},
+        f"{log.name}|CAM_BACK|{first}": {"time": "day", "objects": "a truck"},
+        f"{log.name}|CAM_BACK|{second}": {"time": "night", "objects": "a bus"},
+    }))  # fmt: skip
+    options: dict[str, Any] = {"out_size": OUT, "frames": 2, "images": False, "rasterizer": "cpu"}
+    dataset = ConditionDataset(sources, captions=path, **options)
+    cameras = log[0].cameras
+    found = [dict(zip(cameras, texts, strict=True)) for texts in dataset[1]["captions"]]
+    assert [(each["CAM_FRONT"], each["CAM_BACK"]) for each in found] == [
+        ("day. front", "day. a truck"), ("day. front", "day. a bus")
+    ]  # fmt: skip
+    assert set(found[0].values()) == {"", "day. front", "day. a truck"}
+    pickled = pickle.loads(pickle.dumps(dataset))
+    assert pickled[1]["captions"] == dataset[1]["captions"]
+    path.write_text(json.dumps({log.name: {"weather": "rain"}}))
+    texts = ConditionDataset(sources, captions=str(path), **options)[0]["captions"]
+    assert texts == [["rain. This is a nuplan video clip"] * 6] * 2
+    path.write_text("[]")
+    with pytest.raises(ValueError, match="expected captions .*captions.json"):
+        ConditionDataset(sources, captions=path, **options)
 
 
 def test_bad_rates_are_rejected(sources: list[tuple[str, str]], log: pskel.Log) -> None:

@@ -20,6 +20,7 @@ METRICS = ["pskel/metrics"]
 ALPASIM = ["pskel/alpasim", "pskel/egodriver", "pskel/serve"]
 PLANNERS = ["pskel/nuplan_planner.py", "pskel/navsim_agent.py", "pskel/navsim_scenes.py"]
 RERUN = ["pskel/rerun.py"]
+TRAIN = ["pskel/train", "tests/train"]
 PARTS = [
     ("gymnasium", PLAIN),
     ("torch", TORCH),
@@ -28,6 +29,7 @@ PARTS = [
     ("grpc", ALPASIM),
     ("numpy", PLANNERS),
     ("rerun", RERUN),
+    ("accelerate", TRAIN),
 ]
 
 

@@ -3,23 +3,35 @@
 from __future__ import annotations
 
 import argparse
+import json
 import os
+import shlex
 import signal
 import sys
+import textwrap
 from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from .config import Config
+from .config import Config, DataOptions, TrainOptions
 from .errors import ConfigError, TrainError
 
 PROGRAM = "pskel.train"
 
 
+def _keys(table: str, kind: type[TrainOptions] | type[DataOptions]) -> str:
+    """Return the keys of a table of the configuration with their defaults; ``null`` has none."""
+    defaults = ", ".join(f"{key} = {json.dumps(value)}" for key, value in asdict(kind()).items())
+    return textwrap.fill(f"[{table}] {defaults}", 100, initial_indent="  ", subsequent_indent="    ")
+
+
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog=f"python -m {PROGRAM}",
-        description="Trains an image generator. Several GPUs: torchrun or accelerate launch, then -m pskel.train ..",
+        description="Trains an image generator. Several GPUs: torchrun --nproc-per-node N -m pskel.train ..",
+        epilog=f"Keys of CONFIG, and their defaults:\n{_keys('train', TrainOptions)}\n{_keys('data', DataOptions)}",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument(
         "config", metavar="CONFIG", help="TOML or JSON file: network, [train], [data], and the network's own table"
@@ -68,7 +80,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
             from .loop import train
         except ImportError as error:
             raise ConfigError(f"training needs PyTorch and accelerate: pip install 'pskel[train]' ({error})") from error
-        train(config, options.data, options.out, resume=options.resume)
+        given = [each for each in (sys.argv[1:] if arguments is None else arguments) if each != "--resume"]
+        command = shlex.join(["python", "-m", PROGRAM, *given])
+        train(config, options.data, options.out, resume=options.resume, command=command)
     except TrainError as error:
         if not error.of_all or os.environ.get("RANK", "0") == "0":
             print(f"{PROGRAM}: {error}", file=sys.stderr)

@@ -159,6 +159,9 @@ def _finish(folder: Path, partial: Path, step: int, config: Mapping[str, Any]) -
 
 
 def _flat(value: Any, prefix: str = "") -> dict[str, Any]:
+    """Return the values of nested mappings and lists of lists by keys such as ``data.frames`` and ``clips.3``."""
+    if isinstance(value, list) and value and all(isinstance(each, list) for each in value):
+        return {f"{prefix}{number}": each for number, each in enumerate(value)}
     if isinstance(value, Mapping):
         return {k: v for key, each in value.items() for k, v in _flat(each, f"{prefix}{key}.").items()}
     return {prefix.rstrip("."): value}
@@ -183,7 +186,7 @@ def compare(ours: Mapping[str, Any], path: Path) -> int:
         free.add("train.steps")
     for key in sorted(one.keys() | other.keys()):
         if key not in free and one.get(key) != other.get(key):
-            found, expected = (json.dumps(each.get(key)) for each in (other, one))
+            found, expected = (json.dumps(each.get(key))[:80] for each in (other, one))
             raise CheckpointError(
                 f"the checkpoint has another configuration: {key} is {found} there, {expected} here: {path}"
             )

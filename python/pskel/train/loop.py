@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -20,11 +21,12 @@ from .checkpoint import (
     save_checkpoint,
 )
 from .config import Config
-from .data.sources import Data, open_data
+from .data.sampling import Sampler
+from .data.sources import open_data
 from .errors import LossError, TrainError, first_line
 from .loader import Batch, Loader, statistics_clips
 from .outputs import Outputs, claim_folder
-from .parallel import Processes, full, is_lost, start_processes
+from .parallel import LostError, Processes, full, is_lost, start_processes
 from .players import LossOf, Players
 from .progress import Progress
 from .task import Task, create_task, recipe_of
@@ -33,10 +35,11 @@ from .validation import validate
 __all__ = ["train"]
 
 
-def train(config: Config, data: Sequence[str], out: Path, *, resume: bool = False) -> None:
+def train(config: Config, data: Sequence[str], out: Path, *, resume: bool = False, command: str = "") -> None:
     """Train a network, and write everything to a folder. Every process of a training calls it.
 
-    Raises ``TrainError``, whose text is one line, if the training cannot begin or go on; checkpoints so far remain.
+    ``command`` is stored with the weights. Raises ``TrainError``, whose text is one line, if the training
+    cannot begin or go on; checkpoints so far remain.
     """
     processes = start_processes()
     progress = Progress(config.train.steps, config.train.batch * config.train.accumulate * processes.count,
@@ -44,7 +47,7 @@ def train(config: Config, data: Sequence[str], out: Path, *, resume: bool = Fals
     lock = _claim(out, processes, resume=resume)
     run = None
     try:
-        run = _Run(config, data, out, processes, progress, resume=resume)
+        run = _Run(config, data, out, processes, progress, resume=resume, command=command)
         run.go()
     except (RuntimeError, MemoryError) as error:
         raise _explained(error, config, run, processes) from error
@@ -70,10 +73,19 @@ class _Run:
     """A training of this process."""
 
     def __init__(
-        self, config: Config, specs: Sequence[str], out: Path, processes: Processes, progress: Progress, *, resume: bool
+        self,
+        config: Config,
+        specs: Sequence[str],
+        out: Path,
+        processes: Processes,
+        progress: Progress,
+        *,
+        resume: bool,
+        command: str,
     ) -> None:
         self.config, self.out, self.processes, self.progress = config, out, processes, progress
         self.step = 0
+        self.command = command
         self.outputs: Outputs | None = None
         self._skipped: Counter[str] = Counter()
         if processes.device.type == "cpu":
@@ -85,7 +97,7 @@ class _Run:
         self.about = self._about()
         state = self._start(resume=resume)
         # Workers are forked before modules are moved to the device, and before this process renders anything.
-        sampler = _sampler(self.data, config)
+        sampler = Sampler(self.data.train, self.data.shares, config.train.seed)
         self.loader = Loader(self.task, sampler, config.train, processes, self.step, config.train.steps)
         self.players = Players(self.task, config.train, processes)
         if state is not None:
@@ -126,7 +138,8 @@ class _Run:
         if resume:
             self.progress.say("no checkpoint found: the training begins")
         self.progress.say("taking statistics of the data")
-        with self.processes.agreed(), statistics_clips(_sampler(self.data, self.config), train) as clips:
+        sampler = Sampler(self.data.train, self.data.shares, train.seed)
+        with self.processes.agreed(), statistics_clips(sampler, train) as clips:
             self.task.prepare(clips)
         self.task.load_state(self.processes.share_object(self.task.state()))
         return None
@@ -194,13 +207,17 @@ class _Run:
             tensors, header = self.task.weights(modules)
             whole = {name: full(tensor).detach().cpu() for name, tensor in tensors.items()}
             if self.outputs is not None:  # here, since the tensors may be those of the modules
-                self.outputs.weights(whole, header)
+                self.outputs.weights(whole, {**header, "training": json.dumps(self._provenance())})
+
+    def _provenance(self) -> dict[str, Any]:
+        """Return what the header of the weights says of their training."""
+        logs = sorted({clip_set.reader.log for clip_set in self.data.train})
+        return {"seed": self.config.train.seed, "steps": self.step, "logs": logs, "command": self.command}
 
     def _validate(self) -> None:
         self.progress.pause()
-        options = self.config.train, self.config.data
         with self.players.evaluated() as modules:
-            found = validate(self.task, modules, self.data, options, self.processes)
+            found = validate(self.task, modules, self.data, self.config, self.processes)
         if self.outputs is not None:
             self.outputs.validation(self.step, found.scores, found.picture)
         for text in found.skipped:
@@ -229,12 +246,6 @@ class _Run:
             self.outputs.close()
 
 
-def _sampler(data: Data, config: Config) -> Any:
-    from .data.sampling import Sampler
-
-    return Sampler(data.train, data.shares, config.train.seed)
-
-
 def _means(of_processes: Sequence[Mapping[str, LossOf]]) -> dict[str, float]:
     """Return mean losses and numbers over processes, as columns of the table."""
     columns: dict[str, list[float]] = {}
@@ -250,9 +261,7 @@ def _explained(error: BaseException, config: Config, run: _Run | None, processes
     """Return an error in one line for lost processes and a lack of memory, else the error."""
     step = 0 if run is None else run.step
     if is_lost(error):
-        return TrainError(
-            f"another process of the training ended and said why; process {processes.rank} ends in step {step + 1}"
-        )
+        return LostError.create(processes.rank)
     text = str(error)
     if "DataLoader worker" in text:
         return TrainError(

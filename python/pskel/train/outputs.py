@@ -22,7 +22,8 @@ __all__ = ["Outputs", "Table", "claim_folder", "stacked", "write_whole"]
 
 MARKER = "training.json"
 _OWN = re.compile(
-    r"training\.json|loss\.csv|scores\.csv|tb|validation|weights\.safetensors|checkpoint-\d+|\.lock|lost\+found|\..*\.partial"
+    r"training\.json|loss\.csv|scores\.csv|tb|validation|weights\.safetensors|checkpoint-\d+|"
+    r"\.lock|lost\+found|\..*\.partial"
 )
 
 

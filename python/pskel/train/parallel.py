@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterable, Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass
@@ -86,9 +85,8 @@ class Processes:
         if self.count > 1:
             with lost_processes():
                 for tensor in tensors:
-                    there = (
-                        tensor.detach().to(self.device).contiguous()
-                    )  # a backend may know the device of the process alone
+                    # A backend may know the device of the process alone.
+                    there = tensor.detach().to(self.device).contiguous()
                     dist.broadcast(there, 0)
                     tensor.detach().copy_(there)
 
@@ -110,12 +108,16 @@ def lost_processes() -> Iterator[None]:
     except RuntimeError as error:
         if not is_lost(error):
             raise
-        rank = os.environ.get("RANK", "0")
-        raise LostError(f"another process of the training ended and said why; process {rank} ends too") from error
+        raise LostError.create(dist.get_rank()) from error
 
 
 class LostError(TrainError):
     """Another process is gone."""
+
+    @classmethod
+    def create(cls, rank: int) -> LostError:
+        """Return the error of a process that remains."""
+        return cls(f"another process of the training ended, see its message; process {rank} ends too")
 
 
 def is_lost(error: BaseException) -> bool:

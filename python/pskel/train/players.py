@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from typing import Any, NamedTuple
 
 import torch
+from numpy.random import SeedSequence
 from torch import Tensor, nn
 
 from .config import TrainOptions
@@ -181,6 +182,4 @@ def _mean(losses: Sequence[LossOf]) -> LossOf:
 
 def _mixed(*numbers: int) -> int:
     """Return a seed that depends on all numbers."""
-    from numpy.random import SeedSequence
-
     return int(SeedSequence(numbers).generate_state(1, "uint64")[0]) >> 1

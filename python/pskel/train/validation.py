@@ -9,8 +9,8 @@ from typing import NamedTuple
 import torch
 from torch import Tensor, nn
 
-from .config import DataOptions, TrainOptions
-from .data.drive import Skip, Track
+from .config import Config
+from .data.reader import ClipSet, Skip
 from .data.sources import Data
 from .outputs import stacked
 from .parallel import Processes
@@ -29,9 +29,9 @@ class Validation(NamedTuple):
     """Why clips were left out in this process."""
 
 
-def spread(tracks: Sequence[Track], count: int) -> list[tuple[Track, int]]:
+def spread(clip_sets: Sequence[ClipSet], count: int) -> list[tuple[ClipSet, int]]:
     """Return up to ``count`` clips, evenly spaced over all of them."""
-    clips = [(track, index) for track in tracks for index in range(len(track))]
+    clips = [(clip_set, index) for clip_set in clip_sets for index in range(len(clip_set))]
     count = min(count, len(clips))
     return [clips[(2 * i + 1) * len(clips) // (2 * count)] for i in range(count)]
 
@@ -40,25 +40,24 @@ def validate(
     task: Task,
     modules: Mapping[str, nn.Module],
     data: Data,
-    options: tuple[TrainOptions, DataOptions],
+    config: Config,
     processes: Processes,
 ) -> Validation:
     """Score held-out clips, or clips of the training if there are none. Processes share the clips unless modules are
     sharded."""
-    train, choice = options
-    clips = spread(data.validation or data.train, choice.validation_clips)
-    is_sharded = train.shard == "fsdp"
+    clips = spread(data.validation or data.train, config.data.validation_clips)
+    is_sharded = config.train.shard == "fsdp"
     found: list[dict[str, float]] = []
     pictures: list[Tensor] = []
     skipped: list[str] = []
-    with torch.no_grad(), autocast(train, processes.device):
-        for number, (track, index) in enumerate(clips):
+    with torch.no_grad(), autocast(config.train, processes.device):
+        for number, (clip_set, index) in enumerate(clips):
             is_mine = is_sharded or number % processes.count == processes.rank
-            is_shown = number < choice.validation_pictures and (is_sharded or processes.is_main)
+            is_shown = number < config.data.validation_pictures and (is_sharded or processes.is_main)
             if not (is_mine or is_shown):
                 continue
             try:
-                clip = track.clip(index)
+                clip = clip_set.clip(index)
             except Skip as reason:
                 skipped.append(str(reason))
                 continue

@@ -12,6 +12,7 @@ import pytest
 torch = pytest.importorskip("torch")
 diffusers = pytest.importorskip("diffusers")
 pytest.importorskip("transformers")
+pytest.importorskip("peft")
 safetensors = pytest.importorskip("safetensors.torch")
 from image_base import random_weights  # noqa: E402
 from pskel.models.pas_image import load  # noqa: E402

@@ -1,6 +1,7 @@
 """Estimates of memory and operations: counts by hand of small modules, and the table of the command."""
 
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -11,8 +12,14 @@ pytest.importorskip("transformers")
 pytest.importorskip("peft")
 from pskel.models._cost import counted, recomputed_bytes, saved_bytes  # noqa: E402
 from pskel.models.pas_image.config import TINY  # noqa: E402
-from pskel.models.pas_image.cost import MODES, Cost, cost, main, measured  # noqa: E402
+from pskel.models._rig import PUBLISHED  # noqa: E402
+from pskel.models.pas_image.cost import cost as inference_cost  # noqa: E402
+from pskel.models.pas_image.cost import main  # noqa: E402
+from pskel.models.pas_image.memory import MODES, Cost, cost, measured  # noqa: E402
+from pskel.models.pas_image.presets import PRESETS  # noqa: E402
 from torch.nn.functional import scaled_dot_product_attention  # noqa: E402
+
+PAGE = Path(__file__).parents[3] / "docs/src/reference/pas.md"
 
 
 @pytest.mark.parametrize("device", ["cpu", "meta"])
@@ -78,7 +85,7 @@ def test_bytes_of_the_state() -> None:
 
 def test_the_frozen_models_have_the_published_sizes() -> None:
     from diffusers import AutoencoderKL
-    from pskel.models.pas_image.cost import _FROZEN_MODELS
+    from pskel.models.pas_image.memory import _FROZEN_MODELS
     from transformers import CLIPTextConfig, CLIPTextModel
 
     with torch.device("meta"):
@@ -94,17 +101,45 @@ def test_the_frozen_models_have_the_published_sizes() -> None:
     assert sum(p.numel() for module in (vae, text) for p in module.parameters()) == _FROZEN_MODELS
 
 
-def test_the_command_prints_a_table(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["--tiny", "--rate", "0.001"]) == 0
+@pytest.mark.parametrize("arguments", [[], ["--training"]], ids=["inference", "training"])
+def test_the_page_has_the_tables(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(arguments) == 0
+    table = capsys.readouterr().out
+    assert len(table.splitlines()) == (11 if arguments else 10) and table in PAGE.read_text()
+
+
+def test_the_rate_is_in_the_table(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["--tiny", "--rate", "0.001", "--training"]) == 0
     lines = capsys.readouterr().out.splitlines()
-    assert len(lines) == 12 and {line.count("|") for line in lines} == {5}
+    assert {line.count("|") for line in lines} == {5}
     assert lines[0] == "| 224x400, 2 frames, 6 cameras | all | adapters | lora, rank 16 |"
     assert "| time per clip at 0.001 T/s |" in lines[9]
+    assert main(["--tiny", "--rate", "0.001"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0] == "| | nuscenes, 6 cameras | nuplan, 8 cameras |"
+    assert "| time per planning step at 0.001 T/s |" in lines[8]
+
+
+def test_inference_costs_what_the_forward_pass_of_training_does() -> None:
+    """A call with all conditions, as in training, is an evaluation and the encoding of both frames."""
+    preset = PRESETS["pas-image-nuscenes"]
+    found = inference_cost(preset, 6, TINY)
+    forward = cost("all", 0, TINY)
+    assert found.call_operations + 2 * found.frame_operations == forward.call_operations
+    assert found.parameters == forward.trained
+    assert found.step_operations == 40 * found.call_operations + 2 * found.frame_operations
+    # Down blocks of 16, 32, 32 and 32 channels: latents of 28x50, halved and rounded up.
+    places = [28 * 50, 14 * 25, 7 * 13, 4 * 7]
+    assert found.frame_bytes == 2 * 6 * sum(c * n for c, n in zip((16, 32, 32, 32), places))
+    assert found.message_bytes == 4 * 2 * 6 * 26 * 224 * 400
+    # Cameras are items of a batch, except for the attention across them.
+    assert inference_cost(preset, 8, TINY).frame_operations * 6 == found.frame_operations * 8
+    assert [len(known.cameras) for known in PUBLISHED] == [6, 8]
 
 
 def test_steps_are_measured(monkeypatch: pytest.MonkeyPatch) -> None:
     """As on a GPU, which has 224x400 pixels."""
-    monkeypatch.setattr("pskel.models.pas_image.cost._SIZE", (32, 56))
+    monkeypatch.setattr("pskel.models.pas_image.memory._SIZE", (32, 56))
     seconds, peak = measured(replace(TINY, trained="lora", lora_rank=16), torch.device("cpu"))
     assert 0.0 < seconds < 600.0 and peak == 0
 
@@ -113,5 +148,9 @@ def test_wrong_options_are_one_line(capsys: pytest.CaptureFixture[str], monkeypa
     assert main(["--rate", "0"]) == 1
     assert capsys.readouterr().err == "pskel.models.pas_image.cost: expected --rate above 0, found 0\n"
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
-    assert main(["--measure"]) == 1
-    assert capsys.readouterr().err == "pskel.models.pas_image.cost: expected a GPU for --measure, found none\n"
+    for arguments, message in (
+        (["--measure", "--training"], "expected a GPU for --measure, found none"),
+        (["--measure"], "expected --training with --measure, found none"),
+    ):
+        assert main(arguments) == 1
+        assert capsys.readouterr().err == f"pskel.models.pas_image.cost: {message}\n"

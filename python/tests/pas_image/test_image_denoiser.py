@@ -130,14 +130,16 @@ def test_calls_do_not_depend_on_each_other(models: Models, rig: Rig) -> None:
 
 
 class Recorder:
-    """Latents and levels that the network of a denoiser gets."""
+    """Latents, levels and text tokens that the network of a denoiser gets."""
 
     def __init__(self, models: Models) -> None:
         self.calls: list[tuple[Any, Any]] = []
+        self.texts: list[Any] = []
         self._hook = models.network.register_forward_pre_hook(self._record)
 
     def _record(self, _: Any, given: tuple[Any, ...]) -> None:
         self.calls.append((given[0][0].clone(), given[1][0].clone()))
+        self.texts.append(given[2].text.clone())
 
     def __enter__(self) -> "Recorder":
         return self
@@ -261,23 +263,12 @@ def test_prompts_are_encoded_once(models: Models, rig: Rig) -> None:
             each.remove()
 
 
-class RecordedTexts(Recorder):
-    """Text tokens that the network of a denoiser gets."""
-
-    def __init__(self, models: Models) -> None:
-        super().__init__(models)
-        self.texts: list[Any] = []
-
-    def _record(self, module: Any, given: tuple[Any, ...]) -> None:
-        self.texts.append(given[2].text.clone())
-
-
 def test_each_camera_may_have_a_prompt(peer: Peer, denoiser: Denoiser, models: Models) -> None:
     latents, timesteps, sigmas, frames = window()
     texts = [f"camera {view}" for view in range(V)]
     same = [{**frame, "prompt": "camera 2"} for frame in frames]
     each = [{**frames[0], "prompt": texts}, {**frames[1], "prompt": "camera 2"}]
-    with RecordedTexts(models) as seen:
+    with Recorder(models) as seen:
         found = denoiser(latents, timesteps, sigmas, created(each))
         assert (denoiser(latents, timesteps, sigmas, created(same)) != found).any()
     np.testing.assert_array_equal(unpack(peer.ask(*request(latents, timesteps, sigmas, each)))[1]["prediction"], found)

@@ -1,5 +1,6 @@
 """What goes wrong ends with one clear line, and loses nothing that was saved."""
 
+import errno
 import json
 import os
 import re
@@ -20,7 +21,8 @@ torch = pytest.importorskip("torch")
 pytest.importorskip("accelerate")
 pytest.importorskip("safetensors")
 from pskel.train import Config, ConfigError  # noqa: E402
-from train_base import RECIPE, losses, run, run_two, start, write_config, write_recording  # noqa: E402
+from train_base import RECIPE, assert_equal_weights, losses, run, run_two, start  # noqa: E402
+from train_base import write_config, write_recording  # noqa: E402
 
 PORT = 29910 + os.getpid() % 300
 
@@ -178,15 +180,16 @@ def test_checkpoints_of_another_configuration_are_refused(tmp_path: Path, clip: 
         ("train.batch=2", "train.batch is 1 there, 2 here"),
         ("train.accumulate=2", "batches_per_step is 1 there, 2 here"),
         ("options.noise=true", "options.noise is null there, true here"),
-        ("data.frames=3", r"clips is \[\["),
-        ("data.hold_out=2", r"clips is \[\["),
+        ("data.frames=3", r'clips.0 is \["scene", 0, 11\] there, \["scene", 0, 10\] here'),
+        ("data.hold_out=2", r'clips.0 is \["scene", 0, 11\] there, \["scene", 0, 5\] here'),
     ):
         text = failure(file, "--data", clip, "--out", out, "--resume", "--set", setting)
         assert "the checkpoint has another configuration: " in text and str(out / "checkpoint-6") in text
         assert re.search(key, text), text
     other = tmp_path / "b.safetensors"
     write_recording(other, 12, log="another")
-    assert "clips is" in failure(file, "--data", other, "--out", out, "--resume")
+    text = failure(file, "--data", clip, other, "--out", out, "--resume")
+    assert 'clips.1 is null there, ["another", 0, 11] here' in text
     # Keys that do not change losses may differ, and more steps at a constant rate.
     free = ["--set", "train.workers=1", "--set", "train.checkpoint=3", "--steps", 9]
     run(file, "--data", clip, "--out", out, "--resume", *free)
@@ -279,6 +282,36 @@ def test_a_full_disk_leaves_the_last_checkpoint(tmp_path: Path, clip: Path) -> N
     assert not [path for path in out.iterdir() if "partial" in path.name or path.name == "checkpoint-4"]
     run(file, "--data", clip, "--out", out, "--resume")
     assert (out / "loss.csv").read_bytes() == (whole / "loss.csv").read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("function", "said"),
+    [
+        ("safetensors.torch.save_file", "the weights cannot be written: No space left on device: {out}/weights.safe"),
+        ("pskel.train.outputs.open", "the table cannot be written: No space left on device: {out}/loss.csv"),
+        ("os.replace", "the file cannot be written: No space left on device: {out}/"),
+    ],
+)
+def test_other_files_on_a_full_disk(
+    tmp_path: Path, clip: Path, monkeypatch: pytest.MonkeyPatch, function: str, said: str
+) -> None:
+    """The last checkpoint remains, and the training goes on from it when there is space again."""
+    file, out, whole = config(tmp_path), tmp_path / "out", tmp_path / "whole"
+    run(file, "--data", clip, "--out", whole)
+    run(file, "--data", clip, "--out", out, "--steps", 2)
+
+    def full(*arguments: Any, **options: Any) -> Any:
+        if function.endswith("open") and "a" not in arguments[1:]:
+            return open(*arguments, **options)
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    with monkeypatch.context() as patch:
+        patch.setattr(function, full, raising=False)
+        assert said.format(out=out) in failure(file, "--data", clip, "--out", out, "--resume")
+    assert not list(out.glob(".*.partial")) and (out / "checkpoint-2" / "rank-0.pt").is_file()
+    run(file, "--data", clip, "--out", out, "--resume")
+    assert (out / "loss.csv").read_bytes() == (whole / "loss.csv").read_bytes()
+    assert_equal_weights(out, whole)
 
 
 @pytest.mark.parametrize("fail", ["kill", "error"])

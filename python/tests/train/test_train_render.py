@@ -18,7 +18,7 @@ from pskel.torch import ConditionDataset  # noqa: E402
 from pskel.train import Clip, ConfigError, DataError, DataOptions  # noqa: E402
 from pskel.train.data.numbers import ego_motion  # noqa: E402
 from pskel.train.data.recipe import complete  # noqa: E402
-from pskel.train.data.rendered import RenderedDrive, Variant  # noqa: E402
+from pskel.train.data.rendered import RenderedReader, Variant  # noqa: E402
 from pskel.train.data.sources import Data, open_data  # noqa: E402
 from pskel.train.parallel import Processes  # noqa: E402
 from train_base import losses, start, write_config  # noqa: E402
@@ -61,7 +61,7 @@ def assert_equal(one: Clip, other: Clip, names: tuple[str, ...] = NAMES) -> None
 
 def test_rendered_clips_are_the_maps_of_the_renderer(skeletons: Path, log: pskel.Log, cpu: dict[str, Any]) -> None:
     data = opened(LOG, frames=2, skeletons=str(skeletons), **cpu)
-    assert [len(track) for track in data.train] == [4] and data.train[0].drive.log == log.name
+    assert [len(clip_set) for clip_set in data.train] == [4] and data.train[0].reader.log == log.name
     clip = data.train[0].clip(1)
     renderer = pskel.Renderer(
         pskel.Skeleton(skeletons / log.name), size=(56, 100), out_size=(28, 50), splat="15:1,100:0",
@@ -95,7 +95,8 @@ def test_recordings_have_the_bytes_of_rendering(skeletons: Path, tmp_path: Path,
     cached = open_data([LOG], DataOptions(cache=str(tmp_path / "cache"), **options), RECIPE, Processes(), said.append)
     assert len(said) == 2 and said[0].startswith("[1/2] recording town-7-5f")
     plain = opened(LOG, **options)
-    assert [track.drive.variant for track in cached.train] == [0, 1] == [track.drive.variant for track in plain.train]
+    for data in (cached, plain):
+        assert [clip_set.reader.variant for clip_set in data.train] == [0, 1]
     for one, other in zip(cached.train, plain.train):
         for index in (0, 2):
             assert_equal(one.clip(index), other.clip(index))
@@ -116,11 +117,11 @@ def test_recordings_have_the_bytes_of_rendering(skeletons: Path, tmp_path: Path,
 
 def test_a_moved_ego_sees_its_own_images(skeletons: Path, log: pskel.Log, cpu: dict[str, Any]) -> None:
     data = opened(LOG, frames=2, variants=3, augment=False, skeletons=str(skeletons), **cpu)
-    first, second = data.train[0].drive, data.train[1].drive
-    assert isinstance(first, RenderedDrive) and isinstance(second, RenderedDrive)
+    first, second = data.train[0].reader, data.train[1].reader
+    assert isinstance(first, RenderedReader) and isinstance(second, RenderedReader)
     change = second.change
     assert 0 < abs(change.left_m) <= 3.5 and 0 < abs(change.yaw_rad) <= 0.1 and change.assets is None
-    assert change != data.train[2].drive.change  # type: ignore[attr-defined]
+    assert change != data.train[2].reader.change  # type: ignore[attr-defined]
     assert change == Variant.create(log.name, 1, town=True, augment=False)
     recorded, moved = data.train[0].clip(0), data.train[1].clip(0)
     scene = log[0].move_ego(left_m=change.left_m, yaw_deg=float(np.degrees(change.yaw_rad)))
@@ -162,7 +163,7 @@ def test_shards_have_the_clips_of_rendering(skeletons: Path, tmp_path: Path, cpu
         torch.testing.assert_close(one.action, other.action, rtol=0, atol=2e-2)
         ratio = one.original_sizes[0, 1] / one.original_sizes[0, 0]
         assert float(ratio) == pytest.approx(200 / 113, rel=2e-3)
-        assert one.captions[0][0].startswith("A drive in")
+        assert one.captions[0][0].startswith("A reader in")
 
 
 def test_a_pas_cache_has_the_maps_of_rendering(skeletons: Path, tmp_path: Path) -> None:
@@ -191,7 +192,7 @@ def test_a_pas_cache_has_the_maps_of_rendering(skeletons: Path, tmp_path: Path) 
     with pytest.raises(DataError, match="expected maps with splat 15:1,100:0"):
         opened(LOG, {**recipe, "splat": "15:1,100:0"}, pas_cache=str(out))
     next((out / "proj_clr").glob("000002_*")).unlink()
-    from pskel.train.data.drive import Skip
+    from pskel.train.data.reader import Skip
 
     with pytest.raises(Skip, match="not in the cache"):
         cached.train[0].clip(1)
@@ -213,8 +214,8 @@ def test_missing_skeletons_are_built(tmp_path: Path, skeletons: Path, log: pskel
     options = DataOptions(frames=1, skeletons=str(tmp_path / "new"), rasterizer="cpu")
     found = open_data([LOG], options, RECIPE, Processes(), said.append)
     assert said == [f"[1/1] building the skeleton of {log.name}"]
-    (track,) = opened(LOG, frames=1, skeletons=str(skeletons), rasterizer="cpu").train
-    assert_equal(found.train[0].clip(3), track.clip(3))
+    (clip_set,) = opened(LOG, frames=1, skeletons=str(skeletons), rasterizer="cpu").train
+    assert_equal(found.train[0].clip(3), clip_set.clip(3))
 
 
 def test_a_training_on_a_town(tmp_path: Path, skeletons: Path) -> None:

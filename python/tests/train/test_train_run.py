@@ -2,6 +2,7 @@
 
 import json
 import os
+import shlex
 import signal
 import time
 from pathlib import Path
@@ -12,8 +13,9 @@ import pytest
 
 torch = pytest.importorskip("torch")
 pytest.importorskip("accelerate")
-safetensors = pytest.importorskip("safetensors.torch")
-from train_base import losses, run, run_two, start, write_config, write_recording  # noqa: E402
+pytest.importorskip("safetensors")
+from train_base import assert_equal_weights, losses, run, run_two, start, weights_of  # noqa: E402
+from train_base import write_config, write_recording  # noqa: E402
 
 PORT = 29610 + os.getpid() % 300
 
@@ -54,13 +56,28 @@ def test_a_run_writes_everything(tmp_path: Path, clips: list[Path]) -> None:
     assert float(scores[1].split(",")[2]) == pytest.approx((3 + 7 + 3) / 3)
     with image.open(out / "validation" / "6.png") as picture:
         assert picture.size == (3 * 12, 4 * 8)  # three clips, two cameras generated and recorded
-    with safetensors.safe_open(out / "weights.safetensors", "pt") as weights:
-        assert weights.metadata() == {"format": "tiny"}
-        found = {name: weights.get_tensor(name) for name in weights.keys()}
+    found, header = weights_of(out)
+    assert header == {"format": "tiny", "seed": "0", "steps": "6", "logs": '["first", "second"]'}
     state = torch.load(out / "checkpoint-6" / "rank-0.pt", weights_only=True)
     assert torch.equal(found["inner.weight"], state["ema"]["inner.weight"])
     assert torch.equal(found["mean"], state["modules"]["network"]["mean"]) and found["mean"].abs().sum() > 0
     assert not torch.equal(found["inner.weight"], state["modules"]["network"]["inner.weight"])
+
+
+def test_weights_say_how_they_were_trained(tmp_path: Path, clips: list[Path]) -> None:
+    """The header has the seed, the steps so far, the logs that are trained on, and a command that a shell reads."""
+    from safetensors import safe_open
+
+    out, file = tmp_path / "out of\" tune", config(tmp_path, train={"seed": 7, "validate": 0})
+    arguments = [file, "--data", *clips, "--out", out, "--set", 'data.hold_out_logs=["sec*"]']
+    for more, steps in (["--steps", "4"], 4), (["--resume"], 6):
+        run(*arguments, *more)
+        with safe_open(out / "weights.safetensors", "pt") as weights:
+            training = json.loads(weights.metadata()["training"])
+        command = training.pop("command")
+        assert training == {"seed": 7, "steps": steps, "logs": ["first"]}
+        given = [each for each in (*arguments, *more) if each != "--resume"]
+        assert shlex.split(command) == ["python", "-m", "pskel.train", *map(str, given)]
 
 
 def test_the_average_is_that_of_the_weights(tmp_path: Path, clips: list[Path]) -> None:
@@ -102,7 +119,7 @@ def test_a_killed_run_resumes_with_the_same_losses(tmp_path: Path, clips: list[P
     assert len(losses(whole)) == 60
     assert (killed / "loss.csv").read_bytes() == (whole / "loss.csv").read_bytes()
     assert (killed / "scores.csv").read_bytes() == (whole / "scores.csv").read_bytes()
-    assert (killed / "weights.safetensors").read_bytes() == (whole / "weights.safetensors").read_bytes()
+    assert_equal_weights(killed, whole)
     assert [path.name for path in killed.glob(".*")] == [".lock"]
 
 
@@ -111,13 +128,16 @@ def test_what_was_left_out_is_done_on_resuming(tmp_path: Path, clips: list[Path]
     out = tmp_path / "out"
     file = config(tmp_path)
     run(file, "--data", *clips, "--out", out)
-    weights, scores = (out / "weights.safetensors").read_bytes(), (out / "scores.csv").read_text()
-    (out / "weights.safetensors").unlink()
+    scores = (out / "scores.csv").read_text()
+    copy = tmp_path / "copy"
+    copy.mkdir()
+    (out / "weights.safetensors").rename(copy / "weights.safetensors")
     (out / "scores.csv").write_text("".join(scores.splitlines(keepends=True)[:-1]))
     rows = (out / "loss.csv").read_bytes()
     done = run(file, "--data", *clips, "--out", out, "--resume")
     assert "resumed from checkpoint-6" in done.stderr and "validation after step 6" in done.stderr
-    assert (out / "weights.safetensors").read_bytes() == weights and (out / "scores.csv").read_text() == scores
+    assert_equal_weights(out, copy)
+    assert (out / "scores.csv").read_text() == scores
     assert (out / "loss.csv").read_bytes() == rows
     assert "validation after step" not in run(file, "--data", *clips, "--out", out, "--resume").stderr
 
@@ -139,15 +159,12 @@ def difference(one: Path, other: Path) -> float:
     return max(abs(a[key] - b[key]) for a, b in pairs for key in a if key.endswith("loss"))
 
 
-def weights_of(out: Path) -> Any:
-    return safetensors.load_file(out / "weights.safetensors")
-
-
 def assert_same(one: Path, other: Path) -> None:
     """The same losses, and the same weights in the end."""
     assert difference(one, other) < 1e-5
-    for name, tensor in weights_of(one).items():
-        torch.testing.assert_close(weights_of(other)[name], tensor, rtol=0, atol=1e-5)
+    found = weights_of(other)[0]
+    for name, tensor in weights_of(one)[0].items():
+        torch.testing.assert_close(found[name], tensor, rtol=0, atol=1e-5)
 
 
 @pytest.fixture(scope="module")
@@ -231,7 +248,7 @@ def test_sharded_modules_resume(of_two: Path) -> None:
 
 def test_a_parameter_without_a_gradient_is_not_changed(of_two: Path) -> None:
     assert_same(of_two / "plain", of_two / "spare")
-    assert weights_of(of_two / "spare")["spare"].tolist() == [1, 1]
+    assert weights_of(of_two / "spare")[0]["spare"].tolist() == [1, 1]
 
 
 def test_moments_of_8_bits(tmp_path: Path, clips: list[Path]) -> None:
@@ -241,7 +258,7 @@ def test_moments_of_8_bits(tmp_path: Path, clips: list[Path]) -> None:
     run(file, "--data", *clips, "--out", outs[1], "--steps", 4)
     run(file, "--data", *clips, "--out", outs[1], "--resume")
     assert (outs[0] / "loss.csv").read_bytes() == (outs[1] / "loss.csv").read_bytes()
-    assert (outs[0] / "weights.safetensors").read_bytes() == (outs[1] / "weights.safetensors").read_bytes()
+    assert_equal_weights(outs[0], outs[1])
     state = torch.load(outs[0] / "checkpoint-6" / "rank-0.pt", weights_only=True)
     assert state["moments"]["network"][0]["second"].dtype == torch.uint8
     run(file, "--data", *clips, "--out", outs[2], "--set", "train.optimizer=adamw")

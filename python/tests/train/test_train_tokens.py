@@ -9,7 +9,7 @@ import pytest
 
 pytest.importorskip("torch")
 from pskel.train import DataError  # noqa: E402
-from pskel.train.data.tokens import tokens_of  # noqa: E402
+from pskel.train.data.tokens import location_of, scene_token, tokens_of  # noqa: E402
 
 
 def write_nuscenes(root: Path, version: str = "v1.0-mini") -> None:
@@ -50,6 +50,21 @@ def test_key_frames_of_nuscenes(tmp_path: Path) -> None:
         tokens_of(f"nuscenes:{tmp_path}", "scene-2", [200, 700], ["CAM_FRONT"])
 
 
+def test_tokens_of_scenes(tmp_path: Path) -> None:
+    write_nuscenes(tmp_path)
+    assert scene_token(f"nuscenes:{tmp_path}@v1.0-mini#scene-2", "scene-2") == "n1"
+    assert scene_token(str(tmp_path), "scene-1") == "n0" and scene_token(str(tmp_path), "scene-3") is None
+    (tmp_path / "av2").mkdir()
+    for text in (str(tmp_path / "av2"), f"av2:{tmp_path}", "town:seed=1", f"nuplan:{tmp_path / 'log.db'}"):
+        assert scene_token(text, "scene-1") is None
+    write_nuscenes(tmp_path, "v1.0-test")
+    with pytest.raises(DataError, match="expected a version after @, found several"):
+        scene_token(str(tmp_path), "scene-1")
+    (tmp_path / "v1.0-test" / "scene.json").write_text('[{"token": "t"}]')
+    with pytest.raises(DataError, match="expected tables of nuScenes, found one without 'name'"):
+        scene_token(f"{tmp_path}@v1.0-test", "scene-1")
+
+
 def test_nearest_images_of_nuplan(tmp_path: Path) -> None:
     path = tmp_path / "log.db"
     with sqlite3.connect(path) as database:
@@ -59,11 +74,15 @@ def test_nearest_images_of_nuplan(tmp_path: Path) -> None:
         # Images of 10 Hz, frames of 20 Hz: two frames share an image, a tie goes to the earlier one.
         rows = [(bytes([10 + i]), b"\x01", 100_000 * i) for i in range(3)] + [(b"\xab\xcd", b"\x02", 90_000)]
         database.executemany("INSERT INTO image VALUES (?, ?, ?)", rows)
+        database.execute("CREATE TABLE log (location VARCHAR)")
+        database.execute("INSERT INTO log VALUES ('us-ma-boston')")
     found = tokens_of(f"nuplan:{path}", "log", [0, 49_000, 50_000, 51_000, 200_000], ["CAM_F0", "CAM_L0"])
     assert [frame["CAM_F0"] for frame in found] == ["0a", "0a", "0a", "0b", "0c"]
     assert {frame["CAM_L0"] for frame in found} == {"abcd"}
     with pytest.raises(DataError, match="expected images of CAM_R0, found none"):
         tokens_of(f"nuplan:{path}", "log", [0], ["CAM_R0"])
+    assert location_of(f"nuplan:{path}") == location_of(str(path)) == "us-ma-boston"
+    assert location_of(f"nuscenes:{tmp_path}") == location_of("nuplan:/nowhere.db") == ""
     (tmp_path / "other.db").write_text("no database")
     with pytest.raises(DataError, match="expected a log of nuPlan"):
         tokens_of(f"nuplan:{tmp_path / 'other.db'}", "log", [0], ["CAM_F0"])

@@ -274,6 +274,25 @@ def run_two(*arguments: object, port: int) -> list[Done]:
     return [Done(process.returncode, text) for process, text in zip(started, said)]
 
 
+def weights_of(out: Path) -> tuple[dict[str, Tensor], dict[str, str]]:
+    """Return tensors and header of ``weights.safetensors``, the header without the command of the training."""
+    from safetensors import safe_open
+
+    with safe_open(out / "weights.safetensors", "pt") as file:
+        tensors = {name: file.get_tensor(name) for name in file.keys()}
+        header = dict(file.metadata())
+    training = json.loads(header.pop("training"))
+    assert training.pop("command").startswith("python -m pskel.train ")
+    return tensors, {**header, **{name: json.dumps(value) for name, value in training.items()}}
+
+
+def assert_equal_weights(one: Path, other: Path) -> None:
+    """The same tensors to the bit, and the same header but for the command."""
+    (tensors, header), (others, other_header) = weights_of(one), weights_of(other)
+    assert header == other_header and tensors.keys() == others.keys()
+    assert all(tensors[name].numpy().tobytes() == others[name].numpy().tobytes() for name in tensors)
+
+
 def losses(out: Path) -> list[dict[str, float]]:
     """Return the rows of ``loss.csv``."""
     with open(out / "loss.csv", newline="") as file:

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal
 
-__all__ = ["HISTORY_LEVEL", "LATENT_SCALE", "TINY", "Config", "Prediction", "Trained"]
+__all__ = ["HISTORY_LEVEL", "LATENT_SCALE", "TEXT_TOKENS", "TINY", "Config", "Prediction", "Trained"]
 
 Prediction = Literal["epsilon", "velocity"]
 """Output of the network: the noise, or ``sqrt(a) noise - sqrt(1 - a) latents``."""
@@ -17,6 +17,8 @@ LoRA matrices."""
 
 LATENT_SCALE = 8
 """Pixels per latent, in height and width."""
+TEXT_TOKENS = 77
+"""Tokens of a prompt; longer ones are truncated."""
 HISTORY_LEVEL = 100
 """Default noise level of reference frames at inference, within those of the training."""
 

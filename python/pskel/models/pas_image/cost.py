@@ -4,207 +4,150 @@ from __future__ import annotations
 
 import argparse
 import sys
-import time
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
-from functools import lru_cache
-from typing import Any
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 
 import torch
-from diffusers.models.attention import BasicTransformerBlock
-from diffusers.models.resnet import ResnetBlock2D
-from torch import Tensor, nn
 
-from .._cost import counted, recomputed_bytes, saved_bytes
-from .._weights import add_lora
-from .blocks import Adapter
-from .checkpoint import LORA_LAYERS, is_trained
-from .config import LATENT_SCALE, TINY, Config, Trained
-from .network import IDS, LAYOUT_CHANNELS, POINT_CHANNELS, Inputs, Network
-from .presets import PRESETS
+from .._cost import counted
+from .._rig import PUBLISHED
+from .config import LATENT_SCALE, TEXT_TOKENS, TINY, Config
+from .network import IDS, LAYOUT_CHANNELS, POINT_CHANNELS, Conditions, Network, add_residuals
+from .presets import PRESETS, Preset
 
-__all__ = ["MODES", "Cost", "cost", "main", "measured"]
+__all__ = ["Cost", "cost", "main"]
 
-MODES: tuple[tuple[Trained, int], ...] = (("all", 0), ("adapters", 0), ("lora", 16))
-"""Trained weights, and rank of LoRA matrices."""
-
-_SIZE, _VIEWS = (224, 400), 6
-_TOKENS = 77
-_FROZEN_MODELS = 83_653_863 + 123_060_480
-"""Parameters of Stable Diffusion 1.5's autoencoder and text encoder, in single precision."""
-_STATE, _STATE_8BIT, _FROZEN = 18, 12, 6
-"""Bytes of a trained weight: itself, gradient and two moments in f32 (or moments of 8 bits), copy in bf16. Of a frozen
-one."""
-_KEY_FRAMES, _EPOCHS = 28_000, 200
-"""Of the paper's training on nuScenes."""
-_MEASURED_STEPS = 3
+_PROGRAM = "pskel.models.pas_image.cost"
+_GUIDANCE_CALLS = 2
+_BF16, _F32 = 2, 4
 
 
 @dataclass(frozen=True)
 class Cost:
-    """Counts for one clip of two frames and six cameras of 224x400 pixels, in bf16."""
+    """Counts for inference with a preset; an operation is a multiplication or an addition of a matrix product."""
 
-    trained: int
-    """Parameters."""
-    frozen: int
-    activation_bytes: int
-    checkpointed_bytes: int
-    """Activations if blocks are computed again in the backward pass."""
-    step_operations: int
-    """Of forward and backward pass; an operation is a multiplication or an addition of a matrix product."""
+    parameters: int
     call_operations: int
-    """Of the forward pass."""
+    """For one evaluation of a window whose conditions are encoded."""
+    frame_operations: int
+    """Of the adapters and embeddings, for one new frame."""
+    frame_bytes: int
+    """Encoded layout, or points, of a frame in bf16."""
+    cached_frames: int
+    """Frames of which both remain in memory, by default."""
+    calls: int
+    """Evaluations per planning step, with guidance."""
+    message_bytes: int
+    """Maps of a window in one call of the denoiser protocol."""
 
     @property
-    def state_bytes(self) -> int:
-        """Weights, gradients and moments."""
-        return _STATE * self.trained + _FROZEN * self.frozen + 4 * _FROZEN_MODELS
-
-    @property
-    def state_bytes_8bit(self) -> int:
-        """The same with moments of 8 bits."""
-        return self.state_bytes - (_STATE - _STATE_8BIT) * self.trained
+    def step_operations(self) -> int:
+        """Of a planning step with one new frame for both halves of the guidance, all others cached."""
+        return self.calls * self.call_operations + _GUIDANCE_CALLS * self.frame_operations
 
 
-@lru_cache
-def cost(trained: Trained, rank: int, config: Config = Config()) -> Cost:
-    """Count parameters, activations and operations on PyTorch's ``meta`` device, without memory for them."""
-    config = replace(config, trained=trained, lora_rank=rank)
-    with torch.device("meta"):
-        network, inputs = _network(config).to(torch.bfloat16), _inputs(config)
-        parameters = list(network.parameters())
-        with torch.no_grad():
-            _, call_operations = counted(lambda: network(inputs))
-        _, activations = saved_bytes(lambda: network(inputs), parameters)
-        _, step_operations = counted(lambda: network(inputs).sum().backward())
-        recomputed = recomputed_bytes(lambda: network(inputs), _recomputed(network))
-        network.enable_checkpointing()
-        _, kept = saved_bytes(lambda: network(inputs), parameters)
-    count = sum(parameter.numel() for parameter in parameters if parameter.requires_grad)
+def cost(preset: Preset, views: int, config: Config = Config()) -> Cost:
+    """Count parameters and operations for ``views`` cameras on PyTorch's ``meta`` device, without memory for them."""
+    height, width = map(int, preset.recipe["size"].split("x"))
+    with torch.device("meta"), torch.inference_mode():
+        network = Network(config).to(torch.bfloat16).eval()
+
+        def images(*shape: int, frames: int = 1) -> torch.Tensor:
+            return torch.empty(1, frames, views, *shape)
+
+        def encode() -> Conditions:
+            layout = network.encode_layout(images(LAYOUT_CHANNELS, height, width))
+            points = network.encode_points(images(POINT_CHANNELS, height, width))
+            text = network.encode_text(images(TEXT_TOKENS, config.cross_attention_dim))
+            return Conditions(add_residuals(layout, points), text, network.encode_view(images(IDS)))
+
+        frame, frame_operations = counted(encode)
+        window = Conditions.concatenate([frame] * preset.window, dim=1)
+        latents = images(config.in_channels, height // LATENT_SCALE, width // LATENT_SCALE, frames=preset.window)
+        mask = torch.empty(1, views, views, dtype=torch.bool)
+        _, call_operations = counted(lambda: network(latents, torch.empty(1, preset.window), window, mask))
     return Cost(
-        trained=count,
-        frozen=sum(parameter.numel() for parameter in parameters) - count,
-        activation_bytes=activations,
-        checkpointed_bytes=kept + recomputed,
-        step_operations=step_operations,
+        parameters=sum(parameter.numel() for parameter in network.parameters()),
         call_operations=call_operations,
+        frame_operations=frame_operations,
+        frame_bytes=sum(residual.numel() for residual in frame.residuals) * _BF16,
+        cached_frames=2 * preset.window,
+        calls=_GUIDANCE_CALLS * preset.steps,
+        message_bytes=preset.window * views * (LAYOUT_CHANNELS + POINT_CHANNELS) * height * width * _F32,
     )
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Print the table of docs/src/reference/pas.md; returns the exit status, after an error in one line."""
-    parser = argparse.ArgumentParser(
-        prog="python -m pskel.models.pas_image.cost", description=__doc__.split(":")[0] + "."
-    )
+    parser = argparse.ArgumentParser(prog=f"python -m {_PROGRAM}", description=__doc__.split(":")[0] + ".")
+    parser.add_argument("--training", action="store_true", help="of training, in place of inference")
     parser.add_argument(
         "--rate", type=float, default=200.0, metavar="T", help="10^12 operations per second (default: 200)"
     )
     parser.add_argument("--tiny", action="store_true", help="the sizes of the tests")
-    parser.add_argument("--measure", action="store_true", help="also take steps with random weights on a GPU")
+    parser.add_argument(
+        "--measure", action="store_true", help="also take steps with random weights on a GPU, with --training"
+    )
     options = parser.parse_args(arguments)
-    if not options.rate > 0:
-        print(f"pskel.models.pas_image.cost: expected --rate above 0, found {options.rate:g}", file=sys.stderr)
+    try:
+        _print_tables(options)
+    except (ValueError, ImportError) as error:
+        print(f"{_PROGRAM}: {error}", file=sys.stderr)
         return 1
-    if options.measure and not torch.cuda.is_available():
-        print("pskel.models.pas_image.cost: expected a GPU for --measure, found none", file=sys.stderr)
-        return 1
-    config = TINY if options.tiny else Config()
-    costs = [cost(trained, rank, config) for trained, rank in MODES]
-    names = [f"{trained}, rank {rank}" if rank else trained for trained, rank in MODES]
-    print(f"| {_SIZE[0]}x{_SIZE[1]}, 2 frames, {_VIEWS} cameras | " + " | ".join(names) + " |")
-    print("|---" * (1 + len(MODES)) + "|")
-    for name, values in _rows(costs, options.rate):
-        print("| " + " | ".join((name, *values)) + " |")
-    if options.measure:
-        for name, values in _measured_rows(config):
-            print("| " + " | ".join((name, *values)) + " |")
     return 0
 
 
-def _rows(costs: Sequence[Cost], rate: float) -> Iterator[tuple[str, list[str]]]:
-    preset = next(iter(PRESETS.values()))
-    calls = 2 * preset.steps
-    seconds = [each.step_operations / (rate * 1e12) for each in costs]
-    yield "parameters, trained and frozen", [f"{c.trained / 1e6:.0f} M, {c.frozen / 1e6:.0f} M" for c in costs]
-    yield "weights, gradients, moments", [f"{c.state_bytes / 1e9:.1f} GB" for c in costs]
-    yield "with moments of 8 bits", [f"{c.state_bytes_8bit / 1e9:.1f} GB" for c in costs]
-    yield "activations per clip", [f"{c.activation_bytes / 1e9:.1f} GB" for c in costs]
-    yield "with `checkpointing`", [f"{c.checkpointed_bytes / 1e9:.1f} GB" for c in costs]
-    yield (
-        "sum for 1 clip; 4 clips",
-        ["; ".join(f"{(c.state_bytes + clips * c.activation_bytes) / 1e9:.0f} GB" for clips in (1, 4)) for c in costs],
-    )
-    yield (
-        "operations per clip; with `checkpointing`",
-        [f"{c.step_operations / 1e12:.1f} T; {(c.step_operations + c.call_operations) / 1e12:.1f} T" for c in costs],
-    )
-    yield f"time per clip at {rate:g} T/s", [f"{each:.3f} s" for each in seconds]
-    yield (
-        f"the paper's {_EPOCHS} epochs on nuScenes",
-        [f"{_EPOCHS * _KEY_FRAMES * each / 86400:.1f} days" for each in seconds],
-    )
-    yield f"operations per planning step, {calls} calls", [f"{calls * c.call_operations / 1e12:.0f} T" for c in costs]
+def _print_tables(options: argparse.Namespace) -> None:
+    if not options.rate > 0:
+        raise ValueError(f"expected --rate above 0, found {options.rate:g}")
+    if options.measure and not options.training:
+        raise ValueError("expected --training with --measure, found none")
+    if options.measure and not torch.cuda.is_available():
+        raise ValueError("expected a GPU for --measure, found none")
+    config = TINY if options.tiny else Config()
+    if not options.training:
+        views = [len(known.cameras) for known in PUBLISHED]
+        costs = [cost(preset, count, config) for preset, count in zip(PRESETS.values(), views)]
+        heads = [f"{name.removeprefix('pas-image-')}, {count} cameras" for name, count in zip(PRESETS, views)]
+        _print("", heads, _rows(costs, options.rate))
+        return
+    from . import memory
+
+    training = [memory.cost(trained, rank, config) for trained, rank in memory.MODES]
+    _print(memory.TITLE, memory.COLUMNS, memory.rows(training, options.rate))
+    if options.measure:
+        _print_rows(memory.measured_rows(config))
 
 
-def _measured_rows(config: Config) -> Iterator[tuple[str, list[str]]]:
-    device = torch.device("cuda")
-    found = [measured(replace(config, trained=trained, lora_rank=rank), device) for trained, rank in MODES]
-    name = torch.cuda.get_device_name()
-    yield f"measured on {name}: time per step of 1 clip", [f"{seconds:.3f} s" for seconds, _ in found]
-    yield "peak memory, without autoencoder and text encoder", [f"{peak / 1e9:.1f} GB" for _, peak in found]
+def _rows(costs: Sequence[Cost], rate: float) -> list[tuple[str, list[str]]]:
+    return [
+        ("network, bf16", [f"{_BF16 * c.parameters / 1e9:.1f} GB" for c in costs]),
+        (
+            "conditions of a frame per adapter; of `--cached-frames` frames",
+            [f"{c.frame_bytes / 1e6:.0f} MB; {2 * c.cached_frames * c.frame_bytes / 1e6:.0f} MB" for c in costs],
+        ),
+        ("operations of an evaluation of the network", [f"{c.call_operations / 1e12:.1f} T" for c in costs]),
+        ("operations of the adapters per new frame", [f"{c.frame_operations / 1e12:.2f} T" for c in costs]),
+        ("evaluations per planning step with guidance 2", [str(c.calls) for c in costs]),
+        ("operations per planning step", [f"{c.step_operations / 1e12:.0f} T" for c in costs]),
+        (
+            f"time per planning step at {rate:g} T/s",
+            [f"{c.step_operations / (rate * 1e12):.2f} s" for c in costs],
+        ),
+        ("maps in a call of the protocol", [f"{c.message_bytes / 1e6:.0f} MB" for c in costs]),
+    ]
 
 
-def measured(config: Config, device: torch.device) -> tuple[float, int]:
-    """Take steps with random weights; returns seconds of the last one, and on a GPU the bytes of the peak, else 0."""
-    is_gpu = device.type == "cuda"
-    if is_gpu:
-        torch.cuda.empty_cache()
-        torch.cuda.reset_peak_memory_stats()
-    with device:
-        network, inputs = _network(config), _inputs(config)
-    optimizer = torch.optim.AdamW(parameter for parameter in network.parameters() if parameter.requires_grad)
-    seconds = 0.0
-    for _ in range(_MEASURED_STEPS):
-        begin = time.perf_counter()
-        with torch.autocast(device.type, torch.bfloat16):
-            loss: Tensor = network(inputs).float().square().mean()
-        torch.autograd.backward(loss)
-        optimizer.step()
-        optimizer.zero_grad(set_to_none=True)
-        if is_gpu:
-            torch.cuda.synchronize()
-        seconds = time.perf_counter() - begin
-    return seconds, torch.cuda.max_memory_allocated() if is_gpu else 0
+def _print(title: str, heads: Sequence[str], rows: Iterable[tuple[str, list[str]]]) -> None:
+    """Print a table in Markdown."""
+    print(f"| {title + ' ' if title else ''}| " + " | ".join(heads) + " |")
+    print("|---" * (1 + len(heads)) + "|")
+    _print_rows(rows)
 
 
-def _network(config: Config) -> Network:
-    network = Network(config)
-    if config.trained == "lora":
-        add_lora(network.unet, config.lora_rank, LORA_LAYERS)
-    for name, parameter in network.named_parameters():
-        parameter.requires_grad_(is_trained(name, config))
-    return network
-
-
-def _inputs(config: Config) -> Inputs:
-    """One clip, on the default device."""
-    (height, width), leading = _SIZE, (1, 2, _VIEWS)
-    return Inputs(
-        sample=torch.zeros(*leading, config.in_channels, height // LATENT_SCALE, width // LATENT_SCALE),
-        timestep=torch.zeros(1, 2),
-        text=torch.zeros(*leading, _TOKENS, config.cross_attention_dim),
-        layout=torch.zeros(*leading, LAYOUT_CHANNELS, height, width),
-        points=torch.zeros(*leading, POINT_CHANNELS, height, width),
-        ids=torch.zeros(*leading, IDS),
-        mask=torch.ones(1, _VIEWS, _VIEWS, dtype=torch.bool),
-        single_frames=torch.zeros(1, dtype=torch.bool),
-    )
-
-
-def _recomputed(network: Network) -> list[nn.Module]:
-    """Modules that are computed again one by one."""
-    kinds: tuple[Any, ...] = (ResnetBlock2D, BasicTransformerBlock, Adapter)
-    return [module for module in network.modules() if isinstance(module, kinds)]
+def _print_rows(rows: Iterable[tuple[str, list[str]]]) -> None:
+    for name, values in rows:
+        print("| " + " | ".join((name, *values)) + " |")
 
 
 if __name__ == "__main__":

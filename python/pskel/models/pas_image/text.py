@@ -11,16 +11,14 @@ from torch import Tensor
 
 from .._cache import Cache
 from .._files import first_line
+from .config import TEXT_TOKENS
 
 try:
     from transformers import CLIPTextModel, CLIPTokenizer
 except ImportError as error:
     raise ImportError("the denoiser of pskel.models.pas_image needs transformers: pip install 'pskel[pas]'") from error
 
-__all__ = ["TOKENS", "TextEncoder"]
-
-TOKENS = 77
-"""Tokens of a prompt; longer ones are truncated."""
+__all__ = ["TextEncoder"]
 
 
 class TextEncoder:
@@ -70,7 +68,8 @@ class TextEncoder:
         return torch.stack([self(prompt) for prompt in prompts])
 
     def _encoded(self, prompt: str) -> Tensor:
-        tokens = self.tokenizer([prompt], padding="max_length", max_length=TOKENS, truncation=True, return_tensors="pt")
+        options = {"padding": "max_length", "max_length": TEXT_TOKENS, "truncation": True, "return_tensors": "pt"}
+        tokens = self.tokenizer([prompt], **options)
         with torch.no_grad(), torch.autocast(self.device.type, enabled=False):
             encoded: Tensor = self.encoder(tokens.input_ids.to(self.device))[0]
         return encoded[0].cpu()

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import io
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+import torch
+from torch import Tensor
 
 from ..errors import DataError, first_line
 
@@ -60,9 +63,7 @@ def reduced(images: npt.NDArray[np.uint8], size: tuple[int, int]) -> npt.NDArray
     return np.stack([np.asarray(Image.fromarray(image).resize((size[1], size[0]), bilinear)) for image in images])
 
 
-def rgb_tensor(images: list[list[npt.NDArray[np.uint8]]]) -> Any:
-    """Return images ``[L][V]`` of ``[H, W, 3]`` as a tensor ``uint8 [L, V, 3, H, W]``."""
-    import torch
-
-    stacked = np.stack([np.stack(row) for row in images])
+def rgb_tensor(images: Sequence[Sequence[npt.NDArray[np.uint8]] | npt.NDArray[np.uint8]]) -> Tensor:
+    """Return images ``[L][V]`` of ``[H, W, 3]``, or ``[L]`` of ``[V, H, W, 3]``, as ``uint8 [L, V, 3, H, W]``."""
+    stacked = np.stack([np.asarray(row) for row in images])
     return torch.from_numpy(np.ascontiguousarray(stacked.transpose(0, 1, 4, 2, 3)))

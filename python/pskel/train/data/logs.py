@@ -13,16 +13,16 @@ import numpy.typing as npt
 import torch
 
 from ..errors import DataError, first_line
-from .captions import Captions, captions_of
-from .drive import Drive, Frames
-from .images import reduced
+from .captions import Caption, captions_of
+from .images import reduced, rgb_tensor
 from .numbers import camera_numbers, ego_motion
+from .reader import FrameReader, Frames
 from .recipe import size_of
 
 if TYPE_CHECKING:
     import pskel
 
-__all__ = ["LogDrive", "LogMaps", "Opened", "is_town", "log_images", "mounted_cameras", "open_log"]
+__all__ = ["LogReader", "LogMaps", "Opened", "is_town", "log_images", "mounted_cameras", "open_log"]
 
 _OPEN_LOGS = 2
 Array = npt.NDArray[Any]
@@ -89,10 +89,11 @@ class Opened(NamedTuple):
     value: Any
 
 
-class LogDrive(Drive):
+class LogReader(FrameReader):
     """The key frames of a log. A subclass has the maps."""
 
-    def __init__(self, text: str, recipe: Mapping[str, Any], captions: Captions | None = None) -> None:
+    def __init__(self, text: str, recipe: Mapping[str, Any], captions: Mapping[str, Caption]) -> None:
+        """Open a log. ``captions`` are those of ``captions_of_log``."""
         self.text = self.source = text
         self.recipe = recipe
         self._captions = captions
@@ -133,8 +134,7 @@ class LogDrive(Drive):
         rows = [self._frame(log, frame, list(views)) for frame in frames]
 
         def rgb(index: int) -> torch.Tensor:
-            stacked = np.stack([row[index] for row in rows])
-            return torch.from_numpy(np.ascontiguousarray(stacked.transpose(0, 1, 4, 2, 3)))
+            return rgb_tensor([row[index] for row in rows])
 
         assert self.times_us is not None
         captions = [self.captions(frame) for frame in frames]
@@ -160,8 +160,9 @@ class LogDrive(Drive):
 
     def captions(self, frame: int) -> tuple[str, ...]:
         """Return the captions of all cameras at a frame."""
+        assert self.times_us is not None
         try:
-            return captions_of(self._captions, self.log, frame, self.names)
+            return captions_of(self._captions, self.log, frame, int(self.times_us[frame]), self.names)
         except ValueError as error:
             raise DataError(str(error)) from None
 

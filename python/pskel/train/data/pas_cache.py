@@ -14,18 +14,18 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..errors import DataError
-from .captions import Captions
-from .drive import Skip
+from .captions import Caption
 from .exports import export_options
 from .images import gray16_of, rgb_of
-from .logs import LogDrive, LogMaps
+from .logs import LogMaps, LogReader
+from .reader import Skip
 from .recipe import BINS, of_export, size_of
 from .tokens import tokens_of
 
 if TYPE_CHECKING:
     import pskel
 
-__all__ = ["PasCacheDrive", "recipe_of_cache"]
+__all__ = ["PasCacheReader", "recipe_of_cache"]
 
 _DEPTHS = ("proj_depth_g1.0", "proj_depth_g1.0_b256")
 
@@ -41,11 +41,11 @@ def recipe_of_cache(folder: Path) -> dict[str, Any]:
     return of_export({**options, "depth_bins": {**BINS, **options["depth_bins"]}}, size_of(text, "out_size"))
 
 
-class PasCacheDrive(LogDrive):
+class PasCacheReader(LogReader):
     """A log whose maps are read from a cache; nothing is rendered but images of a town."""
 
     def __init__(
-        self, text: str, folder: str | os.PathLike[str], recipe: Mapping[str, Any], *, captions: Captions | None = None
+        self, text: str, folder: str | os.PathLike[str], recipe: Mapping[str, Any], captions: Mapping[str, Caption]
     ) -> None:
         super().__init__(text, recipe, captions)
         self.folder = Path(folder)

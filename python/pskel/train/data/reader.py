@@ -1,4 +1,4 @@
-"""Frames of a log, whatever they are read from, and the clips in them."""
+"""Readers of the frames of a log, and the clips in them."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from torch import Tensor
 from ..clip import Clip
 from ..errors import DataError
 
-__all__ = ["Drive", "Frames", "Skip", "Track"]
+__all__ = ["ClipSet", "FrameReader", "Frames", "Skip", "frames_apart", "is_steady"]
 
 _RATE_TOLERANCE = 0.05
 """Relative difference between the rate of a log and a multiple of the rate of clips; recorded times are not exact."""
@@ -42,8 +42,8 @@ class Frames(NamedTuple):
     captions: tuple[tuple[str, ...], ...]
 
 
-class Drive(ABC):
-    """Frames of a log, or of a variant of it: moved, or with degraded assets."""
+class FrameReader(ABC):
+    """Reads frames of a log, or of a variant of it: moved, or with degraded assets."""
 
     log: str
     """Name of the log."""
@@ -75,10 +75,10 @@ class Drive(ABC):
 
 
 @dataclass(frozen=True)
-class Track:
-    """The clips of a drive: L frames that are ``step`` apart, beginning every ``stride`` frames."""
+class ClipSet:
+    """The clips of a log: L frames that are ``step`` apart, beginning every ``stride`` frames."""
 
-    drive: Drive
+    reader: FrameReader
     runs: tuple[tuple[int, ...], ...]
     """Frames of which clips are taken, without gaps in each run."""
     frames: int
@@ -91,7 +91,7 @@ class Track:
     @classmethod
     def create(
         cls,
-        drive: Drive,
+        reader: FrameReader,
         *,
         frames: int,
         every: int | None = None,
@@ -100,28 +100,28 @@ class Track:
         cameras: Sequence[str] | None = None,
         hold_out: int = 0,
         held_out: bool = False,
-    ) -> Track:
-        """Choose the clips of a drive.
+    ) -> ClipSet:
+        """Choose the clips of a log.
 
         With ``hold_out`` N, frames N-1, 2N-1 .. are left out; with ``held_out`` only those are taken, at the spacing
-        that is nearest to the others'. Raises ``DataError`` for a camera that the drive does not have, and a rate that
-        does not divide the drive's.
+        that is nearest to the others'. Raises ``DataError`` for a camera that the reader does not have, and a rate that
+        does not divide the reader's.
         """
-        chosen = [[f for f in run if not hold_out or ((f + 1) % hold_out == 0) == held_out] for run in drive.runs]
-        step = (every or 1) if hz is None else _step(drive, hz)
+        chosen = [[f for f in run if not hold_out or ((f + 1) % hold_out == 0) == held_out] for run in reader.runs]
+        step = (every or 1) if hz is None else _step(reader, hz)
         if hold_out and hz is not None:
-            kept_hz = drive.hz * (1 - 1 / hold_out)
+            kept_hz = reader.hz * (1 - 1 / hold_out)
             step = max(1, round(kept_hz / hz))
         if held_out:
             step = max(1, round(step / (1 - 1 / hold_out) / hold_out))
-        wanted = drive.names if cameras is None else tuple(cameras)
-        if missing := [name for name in wanted if name not in drive.names]:
-            raise DataError(f"expected the camera {missing[0]}, found {', '.join(drive.names)}: {drive.source}")
-        views = tuple(drive.names.index(name) for name in wanted)
+        wanted = reader.names if cameras is None else tuple(cameras)
+        if missing := [name for name in wanted if name not in reader.names]:
+            raise DataError(f"expected the camera {missing[0]}, found {', '.join(reader.names)}: {reader.source}")
+        views = tuple(reader.names.index(name) for name in wanted)
         runs = tuple(tuple(run) for run in chosen)
-        if hz is not None and not held_out and drive.times_us is not None:
-            runs = tuple(part for run in runs for part in _steady(run, drive.times_us, step, hz))
-        return cls(drive, runs, frames, step, stride, views, None if held_out else hz)
+        if hz is not None and not held_out and reader.times_us is not None:
+            runs = tuple(part for run in runs for part in _steady(run, reader.times_us, step, hz))
+        return cls(reader, runs, frames, step, stride, views, None if held_out else hz)
 
     def _counts(self) -> list[int]:
         span = (self.frames - 1) * self.step
@@ -138,11 +138,11 @@ class Track:
         run, first = self.runs[number], (index - (ends[number - 1] if number else 0)) * self.stride
         frames = [run[first + i * self.step] for i in range(self.frames)]
         before = [run[first - self.step] if first >= self.step else None, *frames[:-1]]
-        read = self.drive.read(frames, self.views)
-        hz = _rate(read.t_us, self.drive.hz / self.step)
-        if self.hz is not None and not _is_steady(read.t_us, self.hz):
-            raise Skip(f"clips across gaps, such as that of frame {frames[0]} of {self.drive.source}")
-        motions = [np.zeros(3, np.float32) if a is None else self.drive.motion(a, b) for a, b in zip(before, frames)]
+        read = self.reader.read(frames, self.views)
+        hz = _rate(read.t_us, self.reader.hz / self.step)
+        if self.hz is not None and not is_steady(read.t_us, self.hz):
+            raise Skip(f"clips across gaps, such as that of frame {frames[0]} of {self.reader.source}")
+        motions = [np.zeros(3, np.float32) if a is None else self.reader.motion(a, b) for a, b in zip(before, frames)]
         return Clip(
             color=read.color,
             bins=read.bins,
@@ -154,28 +154,34 @@ class Track:
             global_from_ego=torch.from_numpy(read.global_from_ego),
             t_us=torch.from_numpy(read.t_us),
             original_sizes=torch.from_numpy(read.original_sizes),
-            names=tuple(self.drive.names[view] for view in self.views),
+            names=tuple(self.reader.names[view] for view in self.views),
             captions=read.captions,
-            log=self.drive.log,
+            log=self.reader.log,
             frame=frames[0],
             hz=hz,
-            recipe=self.drive.recipe,
+            recipe=self.reader.recipe,
         )
 
 
-def _step(drive: Drive, hz: float) -> int:
-    """Return how many frames of a drive lie between frames at a rate."""
-    if drive.hz <= 0:
-        raise DataError(f"expected frames at an even rate for data.hz, found none: {drive.source}")
-    step = round(drive.hz / hz)
-    if step < 1 or abs(drive.hz / (hz * step) - 1) > _RATE_TOLERANCE:
+def _step(reader: FrameReader, hz: float) -> int:
+    """Return how many frames of a log lie between frames at a rate."""
+    if reader.hz <= 0:
+        raise DataError(f"expected frames at an even rate for data.hz, found none: {reader.source}")
+    step = frames_apart(reader.hz, hz)
+    if step is None:
         raise DataError(
-            f"expected data.hz that divides the rate of the frames, {drive.hz:.4g} Hz, found {hz}: {drive.source}"
+            f"expected data.hz that divides the rate of the frames, {reader.hz:.4g} Hz, found {hz}: {reader.source}"
         )
     return step
 
 
-def _is_steady(times_us: npt.NDArray[np.int64], hz: float) -> bool:
+def frames_apart(log_hz: float, hz: float) -> int | None:
+    """Return which frame of a log is the next one at a rate; ``None`` if the log's rate is not a multiple of it."""
+    step = round(log_hz / hz)
+    return step if step >= 1 and abs(log_hz / (hz * step) - 1) <= _RATE_TOLERANCE else None
+
+
+def is_steady(times_us: npt.NDArray[np.int64], hz: float) -> bool:
     """Return whether each frame is within half an interval of its time at a rate."""
     off_s = (times_us - times_us[0]) / 1e6 - np.arange(len(times_us)) / hz
     return bool((np.abs(off_s) <= 0.5 / hz).all())

@@ -22,11 +22,11 @@ import torch
 from torch import Tensor
 
 from ..errors import ConfigError, DataError, first_line
-from .drive import Drive, Frames
 from .numbers import CAMERA_NUMBERS, ego_motion, joined, moved_by
+from .reader import FrameReader, Frames
 from .recipe import complete, size_of
 
-__all__ = ["RecordedDrive", "Recorder", "recordings_in"]
+__all__ = ["RecordedReader", "Recorder", "recordings_in"]
 
 _DTYPES = {"U8": np.uint8, "U16": np.uint16, "I16": np.int16, "F32": np.float32, "F64": np.float64, "I64": np.int64}
 _RGB = ("color", "boxes", "map", "truth")
@@ -39,7 +39,7 @@ def recordings_in(folder: Path) -> list[Path]:
     return sorted(path for path in folder.glob("*.safetensors") if not path.name.startswith("."))
 
 
-class RecordedDrive(Drive):
+class RecordedReader(FrameReader):
     """A file of recorded frames, which is mapped into memory on first use in a process."""
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
@@ -195,11 +195,10 @@ class Recorder:
             offset += size
         content = json.dumps(header).encode()
         content += b" " * (-len(content) % 8)
-        self._data = 8 + len(content)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        self._file: BinaryIO = open(self._partial, "wb")
-        self._file.write(struct.pack("<Q", len(content)) + content)
-        self._file.truncate(self._data + offset)
+        self._header = struct.pack("<Q", len(content)) + content
+        self._data = len(self._header)
+        self._size = self._data + offset
+        self._file: BinaryIO
 
     def write(self, name: str, values: Array, frame: int | None = None) -> None:
         """Write a whole array, or its values of a frame."""
@@ -212,6 +211,14 @@ class Recorder:
         self._file.write(content)
 
     def __enter__(self) -> Recorder:
+        self._path.parent.mkdir(parents=True, exist_ok=True)
+        self._file = open(self._partial, "wb")
+        try:
+            self._file.write(self._header)
+            self._file.truncate(self._size)
+        except OSError:
+            self.__exit__(OSError)
+            raise
         return self
 
     def __exit__(self, kind: object, *_rest: object) -> None:
@@ -221,8 +228,10 @@ class Recorder:
                 os.fsync(self._file.fileno())
                 os.replace(self._partial, self._path)
         finally:
-            self._file.close()
-            self._partial.unlink(missing_ok=True)
+            try:
+                self._file.close()  # writes what is buffered, which fails on a full disk
+            finally:
+                self._partial.unlink(missing_ok=True)
 
 
 def _header(path: Path) -> tuple[dict[str, Any], int]:

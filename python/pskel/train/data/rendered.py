@@ -19,15 +19,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..errors import DataError, first_line
-from .captions import Captions
-from .logs import LogDrive, LogMaps, Opened
+from .captions import Caption
+from .logs import LogMaps, LogReader, Opened
 from .recipe import depth_bins, renderer_keywords
 from .recorded import Recorder
 
 if TYPE_CHECKING:
     import pskel
 
-__all__ = ["RenderedDrive", "RenderedSource", "Variant", "build_skeleton", "record"]
+__all__ = ["RenderedReader", "RenderedSource", "Variant", "build_skeleton", "record"]
 
 SEED = 1
 """Seed of moved poses and degraded assets. It is not the training's: trainings share recordings."""
@@ -40,7 +40,7 @@ _OPEN_RENDERERS = 2
 
 @dataclass(frozen=True)
 class Variant:
-    """Difference to the recorded drive."""
+    """Difference to the recorded log."""
 
     number: int = 0
     left_m: float = 0.0
@@ -72,7 +72,8 @@ class RenderedSource:
     skeleton: Path
     recipe: Mapping[str, Any]
     change: Variant = field(default_factory=Variant)
-    captions: Captions = field(default_factory=dict)
+    captions: Mapping[str, Caption] = field(default_factory=dict)
+    """Those of ``captions_of_log``."""
     rasterizer: str = "auto"
 
     def key(self) -> str:
@@ -88,7 +89,7 @@ class RenderedSource:
         return hashlib.sha256(text.encode() + content).hexdigest()[:32]
 
 
-class RenderedDrive(LogDrive):
+class RenderedReader(LogReader):
     """A log that is rendered whenever its frames are read."""
 
     def __init__(self, source: RenderedSource) -> None:
@@ -124,7 +125,7 @@ _renderers: OrderedDict[str, Opened] = OrderedDict()
 
 
 class _Renderer:
-    """A renderer of a drive, which learns from the first frame whether the log has an HD map."""
+    """A renderer of a log, which learns from the first frame whether the log has an HD map."""
 
     def __init__(self, source: RenderedSource, log: str) -> None:
         self._source = source
@@ -182,22 +183,23 @@ def build_skeleton(text: str, folder: str) -> None:
 
 def record(source: RenderedSource, path: Path) -> None:
     """Record a log. Raises ``DataError`` if it cannot be rendered or written."""
-    drive = RenderedDrive(source)
-    views = range(len(drive.names))
-    frames = [frame for run in drive.runs for frame in run]
+    reader = RenderedReader(source)
+    views = range(len(reader.names))
+    frames = [frame for run in reader.runs for frame in run]
     identity = source.identity()
-    about = {"log": drive.log, "source": identity, "hz": drive.hz, "cameras": list(drive.names), "recipe": drive.recipe}
+    about = {"log": reader.log, "source": identity, "hz": reader.hz, "cameras": list(reader.names)}
+    about["recipe"] = reader.recipe
     clip = {
-        "variant": drive.variant,
+        "variant": reader.variant,
         "identity": identity,
-        "captions": [list(drive.captions(frame)) for frame in frames],
+        "captions": [list(reader.captions(frame)) for frame in frames],
     }
     try:
         with Recorder(path, about, clip, len(frames)) as recorder:
-            assert drive.times_us is not None
-            recorder.write("t_us", drive.times_us)
+            assert reader.times_us is not None
+            recorder.write("t_us", reader.times_us)
             for frame in frames:
-                read = drive.read([frame], views)
+                read = reader.read([frame], views)
                 for name, tensor in (
                     ("color", read.color),
                     ("boxes", read.boxes),
@@ -207,7 +209,7 @@ def record(source: RenderedSource, path: Path) -> None:
                     recorder.write(name, tensor[0].permute(0, 2, 3, 1).numpy(), frame)
                 recorder.write("bins", read.bins[0].numpy(), frame)
                 recorder.write("cameras", read.cameras[0].numpy(), frame)
-                recorder.write("action", drive.motion(frame - 1, frame) if frame else np.zeros(3, np.float32), frame)
+                recorder.write("action", reader.motion(frame - 1, frame) if frame else np.zeros(3, np.float32), frame)
                 recorder.write("global_from_ego", read.global_from_ego[0], frame)
             recorder.write("original_sizes", read.original_sizes)
     except OSError as error:

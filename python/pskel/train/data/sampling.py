@@ -12,7 +12,7 @@ import numpy as np
 
 from ..clip import Clip
 from ..errors import DataError
-from .drive import Skip, Track
+from .reader import ClipSet, Skip
 
 __all__ = ["Drawn", "Sampler"]
 
@@ -31,21 +31,21 @@ class Drawn(NamedTuple):
 
 
 class Sampler:
-    """Draws clips of tracks.
+    """Draws clips of several logs.
 
-    Without ``shares``, each clip comes once per epoch, in another order in each. With them, a track is drawn by its
+    Without ``shares``, each clip comes once per epoch, in another order in each. With them, a log is drawn by its
     share, then one of its clips, with replacement.
     """
 
-    def __init__(self, tracks: Sequence[Track], shares: Sequence[float] | None, seed: int) -> None:
-        self.tracks = tracks
+    def __init__(self, clip_sets: Sequence[ClipSet], shares: Sequence[float] | None, seed: int) -> None:
+        self.clip_sets = clip_sets
         self.shares = shares
         self.seed = seed
-        self._ends = list(accumulate(len(track) for track in tracks))
+        self._ends = list(accumulate(len(clip_set) for clip_set in clip_sets))
         if not self._ends or self._ends[-1] == 0:
             raise DataError("expected clips to train on, found none")
         if shares is not None:
-            usable = [share if len(track) else 0.0 for share, track in zip(shares, tracks, strict=True)]
+            usable = [share if len(clip_set) else 0.0 for share, clip_set in zip(shares, clip_sets, strict=True)]
             if sum(usable) <= 0:
                 raise DataError("expected a log with a weight above 0 that has clips, found none")
             self._cumulative = np.cumsum(np.array(usable, np.float64) / sum(usable))
@@ -58,23 +58,23 @@ class Sampler:
         return np.random.default_rng((self.seed, *key))
 
     def choose(self, number: int, attempt: int = 0) -> tuple[int, int]:
-        """Return track and clip of the clip with a number in the training."""
+        """Return clip set and clip of the clip with a number in the training."""
         if self.shares is None and attempt == 0:
             epoch, place = divmod(number, len(self))
-            return self._track_of(int(_permutation(self.seed, epoch, len(self))[place]))
+            return self._place(int(_permutation(self.seed, epoch, len(self))[place]))
         return self._drawn(self._random(_DRAWS, number, attempt))
 
-    def _track_of(self, index: int) -> tuple[int, int]:
-        track = bisect_right(self._ends, index)
-        return track, index - (self._ends[track - 1] if track else 0)
+    def _place(self, index: int) -> tuple[int, int]:
+        clip_set = bisect_right(self._ends, index)
+        return clip_set, index - (self._ends[clip_set - 1] if clip_set else 0)
 
     def _drawn(self, random: np.random.Generator) -> tuple[int, int]:
         if self.shares is None:
-            return self._track_of(int(random.integers(len(self))))
-        track = min(int(np.searchsorted(self._cumulative, random.random(), side="right")), len(self.tracks) - 1)
-        while not len(self.tracks[track]):  # after rounding at the end
-            track -= 1
-        return track, int(random.integers(len(self.tracks[track])))
+            return self._place(int(random.integers(len(self))))
+        clip_set = min(int(np.searchsorted(self._cumulative, random.random(), side="right")), len(self.clip_sets) - 1)
+        while not len(self.clip_sets[clip_set]):  # after rounding at the end
+            clip_set -= 1
+        return clip_set, int(random.integers(len(self.clip_sets[clip_set])))
 
     def draw(self, number: int) -> Drawn:
         """Read the clip with a number in the training, or another one in its place if it has to be left out.
@@ -83,26 +83,19 @@ class Sampler:
         """
         return self._read(self.choose(number, attempt) for attempt in range(_ATTEMPTS))
 
-    def statistics(self) -> Iterator[Clip]:
-        """Yield clips without an end, drawn as in the training."""
-        number = 0
-        while True:
-            yield self.statistic(number).clip
-            number += 1
-
     def statistic(self, number: int) -> Drawn:
-        """Read a clip of ``statistics`` by its number."""
+        """Read a clip for statistics by its number, drawn with replacement."""
         return self._read(self._drawn(self._random(_STATISTICS, number, attempt)) for attempt in range(_ATTEMPTS))
 
     def _read(self, choices: Iterator[tuple[int, int]]) -> Drawn:
         skipped: list[str] = []
-        for track, index in choices:
+        for clip_set, index in choices:
             try:
-                clip = self.tracks[track].clip(index)
+                clip = self.clip_sets[clip_set].clip(index)
             except Skip as reason:
                 skipped.append(str(reason))
                 continue
-            return Drawn(clip, f"{self.tracks[track].drive.label}:{clip.frame}", tuple(skipped))
+            return Drawn(clip, f"{self.clip_sets[clip_set].reader.label}:{clip.frame}", tuple(skipped))
         raise DataError(f"expected clips that can be used, found {_ATTEMPTS} others in a row: {skipped[-1]}")
 
 

@@ -21,13 +21,13 @@ import numpy.typing as npt
 import torch
 
 from ..errors import DataError
-from .drive import Drive, Frames, Skip
 from .exports import Record, export_options, records_in
 from .images import rgb_of, rgb_tensor
 from .numbers import camera_numbers, ego_motion, pose_at
+from .reader import FrameReader, Frames, Skip
 from .recipe import BINS, depth_bins, of_export
 
-__all__ = ["ShardDrive", "drives_of_shards"]
+__all__ = ["ShardReader", "shard_readers"]
 
 _OPEN_SHARDS = 8
 _SAMPLES_OF_RATE = 17
@@ -125,7 +125,7 @@ def _shard(path: Path) -> _Shard:
     return shard
 
 
-class ShardDrive(Drive):
+class ShardReader(FrameReader):
     """The shards of a log."""
 
     def __init__(self, folder: Path, records: Sequence[Record], options: Mapping[str, Any]) -> None:
@@ -218,8 +218,7 @@ class ShardDrive(Drive):
         cameras = [[meta["cameras"][view] for view in views] for meta in metas]
 
         def rgb(name: str) -> torch.Tensor:
-            tensor: torch.Tensor = rgb_tensor([[view[name] for view in frame] for frame in found])
-            return tensor
+            return rgb_tensor([[view[name] for view in frame] for frame in found])
 
         numbers = [
             camera_numbers(
@@ -308,7 +307,7 @@ def _runs(records: Sequence[Record]) -> Iterator[range]:
     yield range(begin, total)
 
 
-def drives_of_shards(folder: Path) -> list[Drive]:
+def shard_readers(folder: Path) -> list[FrameReader]:
     """Return the logs of an export in the layout webdataset.
 
     Raises ``DataError`` for an export without images or without a map that clips need.
@@ -321,4 +320,4 @@ def drives_of_shards(folder: Path) -> list[Drive]:
         raise DataError(f"expected shards with the map {missing[0]}, found {', '.join(kinds)}: {folder}")
     options = {**options, "depth_bins": {**BINS, **options.get("depth_bins", {})}}
     by_log = groupby(records_in(folder), key=lambda record: record.log)
-    return [ShardDrive(folder, list(records), options) for _, records in by_log]
+    return [ShardReader(folder, list(records), options) for _, records in by_log]

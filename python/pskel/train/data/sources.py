@@ -2,42 +2,39 @@
 
 from __future__ import annotations
 
-import multiprocessing
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from fnmatch import fnmatchcase
-from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from ..config import DataOptions
-from ..errors import ConfigError, DataError, TrainError, first_line
+from ..errors import ConfigError, DataError, first_line
 from ..parallel import Processes
-from .captions import Captions, read_captions
-from .drive import Drive, Track
+from .captions import Captions, captions_of_log, read_captions
 from .exports import export_options
+from .jobs import Say, in_rounds
 from .logs import is_town
-from .pas_cache import PasCacheDrive, recipe_of_cache
+from .pas_cache import PasCacheReader, recipe_of_cache
+from .reader import ClipSet, FrameReader
 from .recipe import complete, difference
-from .recorded import RecordedDrive, recordings_in
-from .rendered import RenderedDrive, RenderedSource, Variant, build_skeleton, record
-from .shards import drives_of_shards
+from .recorded import RecordedReader, recordings_in
+from .rendered import RenderedReader, RenderedSource, Variant, build_skeleton, record
+from .shards import shard_readers
 
 __all__ = ["Data", "open_data"]
-
-Say = Callable[[str], None]
 
 
 class Data(NamedTuple):
     """Clips of a training."""
 
-    train: list[Track]
+    train: list[ClipSet]
     shares: list[float] | None
-    validation: list[Track]
+    validation: list[ClipSet]
     recipe: dict[str, Any]
 
     def to_json(self) -> list[Any]:
         """Return what a training depends on: logs, variants, and numbers of clips."""
-        return [[track.drive.log, track.drive.variant, len(track)] for track in self.train]
+        return [[clip_set.reader.log, clip_set.reader.variant, len(clip_set)] for clip_set in self.train]
 
 
 class _Listed(NamedTuple):
@@ -61,50 +58,50 @@ def open_data(
         wanted = None if recipe is None else complete(recipe)
         captions = read_captions(options.captions)
         stored = [_stored(spec) for spec in specs]
-    by_spec: list[Sequence[Drive]] = []
-    for spec, drives in zip(specs, stored):
-        if drives is None:
+    by_spec: list[Sequence[FrameReader]] = []
+    for spec, readers in zip(specs, stored):
+        if readers is None:
             with processes.agreed():
                 wanted = wanted or _recipe_of_logs(spec, options)
-            drives = _logs(spec, options, wanted, captions, processes, say)
-        by_spec.append(drives)
+            readers = _logs(spec, options, wanted, captions, processes, say)
+        by_spec.append(readers)
         with processes.agreed():
-            wanted = _same_recipe(drives, wanted, say)
+            wanted = _same_recipe(readers, wanted, say)
     assert wanted is not None
     with processes.agreed():
         return _chosen(by_spec, options, wanted, say)
 
 
-def _same_recipe(drives: Sequence[Drive], wanted: dict[str, Any] | None, say: Say) -> dict[str, Any]:
-    """Check that drives are of a recipe, by default that of the first; returns it."""
-    for drive in drives:
-        found = drive.recipe
+def _same_recipe(readers: Sequence[FrameReader], wanted: dict[str, Any] | None, say: Say) -> dict[str, Any]:
+    """Check that readers are of a recipe, by default that of the first; returns it."""
+    for reader in readers:
+        found = reader.recipe
         wanted = wanted or complete({key: value for key, value in found.items() if value is not None})
         if (text := difference(wanted, found)) is not None:
-            raise DataError(f"{text}: {drive.source}")
+            raise DataError(f"{text}: {reader.source}")
         if found["drawn"] is None:
-            say(f"{drive.source}: rendered at the cameras' own sizes, which are not compared with the recipe")
-        drive.recipe = wanted
+            say(f"{reader.source}: rendered at the cameras' own sizes, which are not compared with the recipe")
+        reader.recipe = wanted
     assert wanted is not None
     return wanted
 
 
-def _stored(spec: str) -> list[Drive] | None:
+def _stored(spec: str) -> list[FrameReader] | None:
     """Open recordings or shards; ``None`` if the text is a log."""
     path = Path(spec)
     if path.suffix == ".safetensors":
-        return [RecordedDrive(path)]
+        return [RecordedReader(path)]
     if path.is_dir() and (path / "export.json").is_file():
         layout = export_options(path)["export_layout"]
         if layout == "webdataset":
-            return drives_of_shards(path)
+            return shard_readers(path)
         if layout == "pas-cache":
             raise ConfigError(
                 f"a pas-cache has maps alone: name it by data.pas_cache, and the logs by --data, found {spec}"
             )
         raise DataError(f"expected an export in the layout webdataset, found {layout}: {spec}")
     if path.is_dir() and (recordings := recordings_in(path)):
-        return [RecordedDrive(each) for each in recordings]
+        return [RecordedReader(each) for each in recordings]
     return None
 
 
@@ -120,29 +117,32 @@ def _recipe_of_logs(spec: str, options: DataOptions) -> dict[str, Any]:
 
 def _logs(
     spec: str, options: DataOptions, recipe: dict[str, Any], captions: Captions, processes: Processes, say: Say
-) -> list[Drive]:
+) -> list[FrameReader]:
     """Open logs. Skeletons are built and clips are recorded in rounds: each process does one, then all go on."""
     with processes.agreed():
         listed = list(_listed(spec))
+        of_logs = {log.text: captions_of_log(captions, log.text, log.name) for log in listed}
+        if captions and (without := [log.name for log in listed if not of_logs[log.text]]):
+            say(f"{options.captions}: no captions of {len(without)} logs, such as {without[0]}; theirs are empty")
         if options.pas_cache is not None:
             folder = Path(options.pas_cache)
             if (text := difference(recipe, recipe_of_cache(folder))) is not None:
                 raise DataError(f"{text}: {folder}")
-            return [PasCacheDrive(log.text, folder, recipe, captions=captions) for log in listed]
+            return [PasCacheReader(log.text, folder, recipe, of_logs[log.text]) for log in listed]
         skeletons = options.skeletons or (None if options.cache is None else f"{options.cache}/skeletons")
         if skeletons is None:
             raise ConfigError(f"expected data.skeletons or data.cache, folders for rendering logs, found none: {spec}")
     folder = Path(skeletons)
     builds = [log for log in listed if not (folder / log.name / "skeleton.json").is_file()]
     texts = [f"building the skeleton of {log.name}" for log in builds]
-    _in_rounds(processes, [(build_skeleton, (log.text, str(folder / log.name))) for log in builds], texts, say)
+    in_rounds(processes, [(build_skeleton, (log.text, str(folder / log.name))) for log in builds], texts, say)
     sources = [
         RenderedSource(
             log.text,
             folder / log.name,
             recipe,
             Variant.create(log.name, number, town=is_town(log.text), augment=options.augment),
-            {name: caption for name, caption in captions.items() if name == log.name},
+            of_logs[log.text],
             options.rasterizer,
         )
         for log in listed
@@ -151,22 +151,22 @@ def _logs(
     if options.cache is not None:
         return _recorded([log.name for log in listed], sources, Path(options.cache), processes, say)
     with processes.agreed():
-        return [RenderedDrive(source) for source in sources]
+        return [RenderedReader(source) for source in sources]
 
 
 def _recorded(
     names: Sequence[str], sources: Sequence[RenderedSource], cache: Path, processes: Processes, say: Say
-) -> list[Drive]:
+) -> list[FrameReader]:
     """Return the recordings of rendered logs, which are made if they do not exist."""
     of_sources = [names[number * len(names) // len(sources)] for number in range(len(sources))]
     paths = [cache / f"{name}-{source.change.label}.safetensors" for name, source in zip(of_sources, sources)]
     missing = [(source, path) for source, path in zip(sources, paths) if not path.is_file()]
     texts = [f"recording {path.name}" for _, path in missing]
-    _in_rounds(processes, [(record, (source, path)) for source, path in missing], texts, say)
-    found: list[Drive] = []
+    in_rounds(processes, [(record, (source, path)) for source, path in missing], texts, say)
+    found: list[FrameReader] = []
     with processes.agreed():
         for source, path in zip(sources, paths):
-            recording = RecordedDrive(path)
+            recording = RecordedReader(path)
             if recording.identity != source.identity():
                 what = "a recording of this skeleton, recipe and captions"
                 raise DataError(f"expected {what}, found another one; remove it, or choose another data.cache: {path}")
@@ -204,67 +204,12 @@ def _listed(spec: str) -> Iterator[_Listed]:
         yield _Listed(text, name)
 
 
-def _in_rounds(processes: Processes, jobs: Sequence[Any], texts: Sequence[str], say: Say) -> None:
-    """Do jobs in child processes, one at a time for each process of the training. Raises ``DataError`` if one fails."""
-    # A process that is late must not see what another one has done in the meantime.
-    jobs, texts = processes.share_object((list(jobs), list(texts)))
-    for first in range(0, len(jobs), processes.count):
-        failure = None
-        mine = first + processes.rank
-        if mine < len(jobs):
-            function, arguments = jobs[mine]
-            say(f"[{mine + 1}/{len(jobs)}] {texts[mine]}")
-            try:
-                _in_child(function, *arguments)
-            except DataError as error:
-                failure = str(error)
-        with processes.agreed():
-            if failure is not None:
-                raise DataError(failure)
-
-
-def _in_child(function: Callable[..., None], *arguments: Any) -> None:
-    """Call a function in a process of its own, so that this one opens no device: workers are forked from it.
-
-    Raises ``DataError`` if it fails, or if the process is killed.
-    """
-    context = multiprocessing.get_context("spawn")
-    receiver, sender = context.Pipe(duplex=False)
-    child = context.Process(target=_run, args=(sender, function, arguments), daemon=True)
-    child.start()
-    sender.close()
-    try:
-        failure = receiver.recv()
-    except EOFError:
-        child.join()
-        raise DataError(
-            f"a process that prepares data ended with exit code {child.exitcode} (-9: out of memory?)"
-        ) from None
-    finally:
-        receiver.close()
-    child.join()
-    if failure is not None:
-        raise DataError(failure)
-
-
-def _run(sender: Connection, function: Callable[..., None], arguments: tuple[Any, ...]) -> None:
-    try:
-        function(*arguments)
-        sender.send(None)
-    except KeyboardInterrupt:
-        pass
-    except TrainError as error:
-        sender.send(str(error))
-    except Exception as error:  # the parent says what happened
-        sender.send(f"{type(error).__name__}: {first_line(error)}")
-
-
-def _chosen(by_spec: Sequence[Sequence[Drive]], options: DataOptions, recipe: dict[str, Any], say: Say) -> Data:
+def _chosen(by_spec: Sequence[Sequence[FrameReader]], options: DataOptions, recipe: dict[str, Any], say: Say) -> Data:
     """Choose the clips for training and validation, and how often those of a log are drawn."""
 
-    def track(drive: Drive, **choice: Any) -> Track:
-        return Track.create(
-            drive,
+    def clip_set(reader: FrameReader, **choice: Any) -> ClipSet:
+        return ClipSet.create(
+            reader,
             frames=options.frames,
             every=options.every,
             hz=options.hz,
@@ -273,23 +218,23 @@ def _chosen(by_spec: Sequence[Sequence[Drive]], options: DataOptions, recipe: di
             **choice,
         )
 
-    train: list[Track] = []
-    validation: list[Track] = []
+    train: list[ClipSet] = []
+    validation: list[ClipSet] = []
     spec_of: list[int] = []
-    for number, drives in enumerate(by_spec):
-        for drive in drives:
-            is_held_out = any(fnmatchcase(drive.log, pattern) for pattern in options.hold_out_logs)
+    for number, readers in enumerate(by_spec):
+        for reader in readers:
+            is_held_out = any(fnmatchcase(reader.log, pattern) for pattern in options.hold_out_logs)
             if not is_held_out:
-                train.append(track(drive, hold_out=options.hold_out))
+                train.append(clip_set(reader, hold_out=options.hold_out))
                 spec_of.append(number)
-            if drive.variant == 0 and is_held_out:
-                validation.append(track(drive))
-            elif drive.variant == 0 and options.hold_out:
-                validation.append(track(drive, hold_out=options.hold_out, held_out=True))
+            if reader.variant == 0 and is_held_out:
+                validation.append(clip_set(reader))
+            elif reader.variant == 0 and options.hold_out:
+                validation.append(clip_set(reader, hold_out=options.hold_out, held_out=True))
     for each in train:
         if not len(each):
             found = sum(len(run) for run in each.runs)
-            say(f"{each.drive.source}: left out, {found} frames are too few for clips of {options.frames}")
+            say(f"{each.reader.source}: left out, {found} frames are too few for clips of {options.frames}")
     if not any(len(each) for each in train):
         least = (options.frames - 1) * max((each.step for each in train), default=1) + 1
         counts = [sum(len(run) for run in each.runs) for each in train]
@@ -299,22 +244,26 @@ def _chosen(by_spec: Sequence[Sequence[Drive]], options: DataOptions, recipe: di
 
 
 def _shares(
-    tracks: Sequence[Track], spec_of: Sequence[int], specs: int, weights: tuple[float, ...] | Mapping[str, float] | None
+    clip_sets: Sequence[ClipSet],
+    spec_of: Sequence[int],
+    specs: int,
+    weights: tuple[float, ...] | Mapping[str, float] | None,
 ) -> list[float] | None:
-    """Return the share of each track: the weight of its --data or its log, divided by clips."""
+    """Return the share of each clip set: the weight of its --data or its log, divided by clips."""
     if weights is None:
         return None
     if isinstance(weights, Mapping):
-        groups: list[Any] = [track.drive.log for track in tracks]
+        groups: list[Any] = [clip_set.reader.log for clip_set in clip_sets]
         matching = [[w for pattern, w in weights.items() if fnmatchcase(log, pattern)] for log in groups]
-        of_track = [found[0] if found else 1.0 for found in matching]
+        of_clip_set = [found[0] if found else 1.0 for found in matching]
         if unused := [pattern for pattern in weights if not any(fnmatchcase(log, pattern) for log in groups)]:
             raise ConfigError(f"expected patterns of logs in data.weights, found {unused[0]!r}, which no log matches")
     else:
         if len(weights) != specs:
             raise ConfigError(f"expected data.weights of {specs} numbers, one for each --data, found {len(weights)}")
-        groups, of_track = list(spec_of), [weights[spec] for spec in spec_of]
+        groups, of_clip_set = list(spec_of), [weights[spec] for spec in spec_of]
     totals: dict[Any, int] = {}
-    for group, track in zip(groups, tracks):
-        totals[group] = totals.get(group, 0) + len(track)
-    return [weight * len(track) / max(1, totals[group]) for weight, group, track in zip(of_track, groups, tracks)]
+    for group, clip_set in zip(groups, clip_sets):
+        totals[group] = totals.get(group, 0) + len(clip_set)
+    of_group = zip(of_clip_set, groups, clip_sets)
+    return [weight * len(clip_set) / max(1, totals[group]) for weight, group, clip_set in of_group]
