@@ -1,33 +1,51 @@
 #!/usr/bin/env bash
-# Builds the Python package with the dev profile, installs it into a new virtual environment, and runs its tests
-# under Vulkan's validation layer.
-# PSKEL_PYTHON_EXTRAS="torch ray" also installs PyTorch (several GB) and Ray; the tests that need them are skipped without.
+# Builds the Python package with the dev profile, installs it, and runs its tests under Vulkan's validation layer.
+# The packages of the tests, PyTorch among them (several GB), are in target/python, which later runs use again; remove the
+# folder to install newer ones. PSKEL_PYTHON_EXTRAS="ray" installs more; the tests that need them are skipped without.
 # Exits with 77 if the Python packages of the tests cannot be downloaded.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
+packages=('maturin>=1.16,<2' numpy pytest mypy 'gymnasium>=1.4' matplotlib tqdm webdataset pillow pandas pyarrow safetensors
+    mcap mcap-protobuf-support ${PSKEL_PYTHON_EXTRAS:-})
+# Networks and their training.
+torch=(torch torchvision 'diffusers>=0.35,<1' 'transformers>=4.49,<6' 'accelerate>=1' 'peft>=0.13' sentencepiece protobuf
+    tensorboard 'torchmetrics>=1.8' 'torch-fidelity>=0.3')
+# Tests are skipped without each: readers of EXR files, Rerun, a driving policy of another project, and what regenerates the
+# messages of AlpaSim.
+optional=('opencv-python-headless<5 OpenEXR' rerun-sdk==0.41.0 'grpcio-tools carla-driver-interface==2.3.1')
+# Planners of nuPlan run in an environment of their own; their tests are skipped without.
+devkit=('numpy<2' shapely geopandas 'SQLAlchemy==1.4.27' pyquaternion scipy opencv-python-headless tqdm retry psutil pytest
+    joblib pillow matplotlib rasterio aioboto3 requests)
+
 scratch=$(mktemp -d)
 trap 'rm -rf "$scratch"' EXIT
-python3 -m venv "$scratch/env"
-pip=("$scratch/env/bin/pip" install --quiet --disable-pip-version-check)
-"${pip[@]}" 'maturin>=1.16,<2' numpy pytest mypy 'gymnasium>=1.4' matplotlib tqdm \
-    webdataset pillow pandas pyarrow safetensors mcap mcap-protobuf-support || exit 77
-"${pip[@]}" rerun-sdk==0.41.0 || true # its tests are skipped without
-# Readers of EXR files; their tests are skipped without.
-"${pip[@]}" 'opencv-python-headless<5' OpenEXR || true
-# A driving policy of another project, and what regenerates the messages of AlpaSim; their tests are skipped without.
-"${pip[@]}" grpcio-tools 'carla-driver-interface==2.3.1' || true
-TOOLS="$scratch/env" PROFILE=dev ci/wheel.sh "$scratch/wheel"
-"${pip[@]}" --no-index "$scratch"/wheel/pskel-*.whl
-# Planners of nuPlan run in an environment of their own; their tests are skipped without.
-devkit=$(realpath -m "${PSKEL_SHARED:-../shared}/interop/nuplan-devkit")
-if [ -d "$devkit" ] && python3 -m venv "$scratch/devkit" && "$scratch/devkit/bin/pip" install --quiet --disable-pip-version-check \
-    'numpy<2' shapely geopandas 'SQLAlchemy==1.4.27' pyquaternion scipy opencv-python-headless tqdm retry psutil pytest joblib \
-    pillow matplotlib rasterio aioboto3 requests; then
-    export PSKEL_DEVKIT_PYTHON="$scratch/devkit/bin/python"
+folder=$(realpath -m "${CARGO_TARGET_DIR:-target}/python")
+stamp=$(python3 --version; printf '%s\n' "${packages[@]}" "${torch[@]}" "${optional[@]}" "${devkit[@]}")
+install() { "$folder/$1/bin/pip" install --quiet --disable-pip-version-check "${@:2}"; }
+
+if [ "$(cat "$folder/installed" 2>/dev/null)" != "$stamp" ]; then
+    rm -rf "$folder"
+    python3 -m venv "$folder/env"
+    install env "${packages[@]}" || exit 77
+    # The build for processors is a tenth as large.
+    PIP_RETRIES=0 PIP_TIMEOUT=15 install env torch torchvision --index-url https://download.pytorch.org/whl/cpu 2>/dev/null || true
+    install env "${torch[@]}" || exit 77
+    for group in "${optional[@]}"; do
+        # shellcheck disable=SC2086 # several packages
+        install env $group || true
+    done
+    python3 -m venv "$folder/devkit"
+    install devkit "${devkit[@]}" || rm -rf "$folder/devkit"
+    printf '%s\n' "$stamp" >"$folder/installed"
 fi
-[ -z "${PSKEL_PYTHON_EXTRAS:-}" ] || "${pip[@]}" $PSKEL_PYTHON_EXTRAS
+
+TOOLS="$folder/env" PROFILE=dev ci/wheel.sh "$scratch/wheel"
+install env --no-index --no-deps --force-reinstall "$scratch"/wheel/pskel-*.whl
+if [ -d "${PSKEL_SHARED:-../shared}/interop/nuplan-devkit" ] && [ -d "$folder/devkit" ]; then
+    export PSKEL_DEVKIT_PYTHON="$folder/devkit/bin/python"
+fi
 export PSKEL_VALIDATION=1
 # Not in the folder of the sources, which would hide the installed package.
 cd "$scratch"
-"$scratch/env/bin/python" -m pytest -p no:cacheprovider -q -rs "$OLDPWD/python/tests" "$@"
+"$folder/env/bin/python" -m pytest -p no:cacheprovider -q -rs "$OLDPWD/python/tests" "$@"
