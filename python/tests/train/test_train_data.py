@@ -16,7 +16,7 @@ torch = pytest.importorskip("torch")
 pytest.importorskip("safetensors")
 from pskel.train import Clip, ConfigError, DataError, DataOptions  # noqa: E402
 from pskel.train.data.reader import ClipSet, Skip  # noqa: E402
-from pskel.train.data.numbers import camera_numbers, ego_motion, interpolated, joined, moved_by, pose_at  # noqa: E402
+from pskel.train.data.numbers import camera_numbers, ego_motion, joined, moved_by  # noqa: E402
 from pskel.train.data.recipe import complete, depth_bins, difference, renderer_keywords  # noqa: E402
 from pskel.train.data.recorded import RecordedReader, Recorder  # noqa: E402
 from pskel.train.data.sampling import Sampler  # noqa: E402
@@ -200,7 +200,6 @@ def test_clips_of_shards(tmp_path: Path, form: str) -> None:
     assert clip.t_us.tolist() == [1_100_000, 1_300_000, 1_500_000] and clip.hz == pytest.approx(5.0)
     assert clip.captions == (("frame 1 of CAM_BACK",), ("frame 3 of CAM_BACK",), ("frame 5 of CAM_BACK",))
     assert clip.original_sizes.tolist() == [list(ORIGINAL)] and clip.frame == 1
-    # The pose of a sample lies between those of its images, 20 ms before and 30 ms after it.
     for number, t_s in enumerate((1.1, 1.3, 1.5)):
         np.testing.assert_allclose(clip.global_from_ego[number], ego(t_s), atol=1e-9)
     step = ego_motion(ego(1.1), ego(1.3))
@@ -407,12 +406,6 @@ def test_motions_and_cameras_are_those_of_the_protocol() -> None:
     numbers = camera_numbers(mounted[None], np.array([[[3.0, 0, 3], [0, 3, 2], [0, 0, 1]]]), np.array([[4, 6]]))
     assert numbers.tolist() == [[1, 0, 0, 1, 0, 1, 0, 2, 0, 0, 1, 3, 0.5, 0.75, 0.5, 0.5]]
     np.testing.assert_allclose(joined([1, 0, math.pi / 2], [1, 0, math.pi / 2]), [1, 1, math.pi], atol=1e-6)
-    half = interpolated(before, after, 0.5)
-    np.testing.assert_allclose(half, moved_by(np.eye(4), [0, 0, 0.45]), atol=1e-12)
-    np.testing.assert_allclose(interpolated(before, after, 1.0), after, atol=1e-12)
-    known = {0: before, 100: after}
-    np.testing.assert_allclose(pose_at(150, known), moved_by(np.eye(4), [2, 0, 0.55]), atol=1e-12)
-    assert pose_at(100, known) is not None and np.array_equal(pose_at(100, known), after)
 
 
 def test_depth_bins_are_those_of_the_renderer() -> None:

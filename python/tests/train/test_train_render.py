@@ -315,9 +315,9 @@ def test_a_log_without_an_hd_map_has_a_black_map(tmp_path: Path, skeletons: Path
     assert not clip.map.any() and clip.boxes.any() and clip.images.any()
     # The copy has the tokens of its images in its tables.
     tables = json.loads((version / "sample_data.json").read_text())
-    from pskel.train.data.tokens import tokens_of
-
     log = pskel.Log(text)
-    found = tokens_of(text, name, log.times_us, log[0].cameras)
     known = {row["token"] for row in tables if row["is_key_frame"]}
-    assert len(found) == 3 and all(set(frame.values()) <= known for frame in found)
+    assert len(log.image_tokens) == 3 and all(set(frame.values()) <= known for frame in log.image_tokens)
+    assert all(list(frame) == log[0].cameras for frame in log.image_tokens)
+    scenes = json.loads((version / "scene.json").read_text())
+    assert [row["token"] for row in scenes] == [log.token] and log.location

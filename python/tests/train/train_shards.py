@@ -98,11 +98,11 @@ def _meta(frame: int, interval_us: int, log: str) -> dict[str, Any]:
             "name": name, "height": SIZE[0], "width": SIZE[1], "token": f"token-{frame}-{number}", "t_us": own_us,
             "caption": f"frame {frame} of {name}", "neighbours": [1, number, 1],
             "intrinsics": [[8.0, 0, 5.0], [0, 8.0, 3.0], [0, 0, 1]], "ego_from_camera": mounted.tolist(),
-            "global_from_ego": global_from_ego.tolist(),
+            "global_from_ego": global_from_ego.tolist(), "original_size": list(ORIGINAL),
             "camera_from_global": np.linalg.inv(global_from_ego @ mounted).tolist(),
         })  # fmt: skip
     return {"name": f"{frame:06d}", "log": log, "frame": frame, "t_us": t_us, "fps": 1e6 / interval_us,
-            "caption": "", "cameras": cameras}  # fmt: skip
+            "caption": "", "global_from_ego": ego(t_us / 1e6).tolist(), "cameras": cameras}  # fmt: skip
 
 
 def write_export(

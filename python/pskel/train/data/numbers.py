@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import math
-from bisect import bisect_right
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["CAMERA_NUMBERS", "camera_numbers", "ego_motion", "interpolated", "joined", "moved_by", "pose_at"]
+__all__ = ["CAMERA_NUMBERS", "camera_numbers", "ego_motion", "joined", "moved_by"]
 
 Array = npt.NDArray[Any]
 
@@ -57,30 +55,3 @@ def moved_by(pose: npt.ArrayLike, motion: npt.ArrayLike) -> npt.NDArray[np.float
     step = np.array([[c, -s, 0, forward], [s, c, 0, left], [0, 0, 1, 0], [0, 0, 0, 1]])
     moved: npt.NDArray[np.float64] = np.asarray(pose, np.float64) @ step
     return moved
-
-
-def interpolated(first: Array, second: Array, share: float) -> npt.NDArray[np.float64]:
-    """Return the pose ``[4, 4]`` at a share of the way between two poses; a share outside of 0 to 1 extrapolates."""
-    a, b = np.asarray(first, np.float64), np.asarray(second, np.float64)
-    turn = a[:3, :3].T @ b[:3, :3]
-    axis = np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]])
-    sine = float(np.linalg.norm(axis)) / 2
-    angle = math.atan2(sine, (float(np.trace(turn)) - 1) / 2) * share
-    result = np.eye(4)
-    result[:3, 3] = a[:3, 3] + share * (b[:3, 3] - a[:3, 3])
-    result[:3, :3] = a[:3, :3]
-    if sine > 1e-12:  # Rodrigues' formula
-        x, y, z = axis / (2 * sine)
-        cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-        result[:3, :3] @= np.eye(3) + math.sin(angle) * cross + (1 - math.cos(angle)) * (cross @ cross)
-    return result
-
-
-def pose_at(t_us: int, known: Mapping[int, Array]) -> npt.NDArray[np.float64]:
-    """Return the pose ``[4, 4]`` at a time, from poses at other times (microseconds), at least one."""
-    if t_us in known or len(known) == 1:
-        return np.asarray(known.get(t_us, next(iter(known.values()))), np.float64)
-    times = sorted(known)
-    after = min(max(bisect_right(times, t_us), 1), len(times) - 1)
-    first, second = times[after - 1], times[after]
-    return interpolated(known[first], known[second], (t_us - first) / (second - first))

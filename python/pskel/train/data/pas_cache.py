@@ -20,7 +20,6 @@ from .images import gray16_of, rgb_of
 from .logs import LogMaps, LogReader
 from .reader import Skip
 from .recipe import BINS, of_export, size_of
-from .tokens import tokens_of
 
 if TYPE_CHECKING:
     import pskel
@@ -57,8 +56,7 @@ class PasCacheReader(LogReader):
             raise DataError(f"expected the folders {self._color.name} and {_DEPTHS[0]}, found others: {self.folder}")
         self._depth = depths[0]
         self._has_map = (self.folder / "hdmap_images").is_dir()
-        assert self.times_us is not None
-        self._tokens = tokens_of(text, self.log, self.times_us.tolist(), self.names)
+        self._tokens = self.opened_log().image_tokens
 
     def _read(self, folder: Path, frame: int, camera: str) -> tuple[bytes, str]:
         """Return the content and the path of an image's file."""

@@ -23,7 +23,7 @@ import torch
 from ..errors import DataError
 from .exports import Record, export_options, records_in
 from .images import rgb_of, rgb_tensor
-from .numbers import camera_numbers, ego_motion, pose_at
+from .numbers import camera_numbers, ego_motion
 from .reader import FrameReader, Frames, Skip
 from .recipe import BINS, depth_bins, of_export
 
@@ -31,10 +31,6 @@ __all__ = ["ShardReader", "shard_readers"]
 
 _OPEN_SHARDS = 8
 _SAMPLES_OF_RATE = 17
-_SAME_RATIO = 1e-3
-"""Relative difference between ratios of width and height that are the same."""
-_ASPECT_SCALE = 16
-"""Original sizes that are not known are multiples of the size of the maps; only their ratio means something."""
 Array = npt.NDArray[Any]
 
 
@@ -136,7 +132,6 @@ class ShardReader(FrameReader):
         self._ends: list[int] = [int(end) for end in ends]
         self.runs = list(_runs(records))
         self._format = str(options["format"])
-        self._drawn = options["size"]
         self._times = options["times"]
         shard = _shard(self._paths[0])
         meta = shard.meta(0)
@@ -146,6 +141,9 @@ class ShardReader(FrameReader):
             self.hz = float(meta.get("fps") or 0.0) or self._usual_rate(shard)
         except (KeyError, TypeError, ValueError) as error:
             raise DataError(f"expected metadata of a sample, found {error!r}: {shard.path}") from None
+        if "global_from_ego" not in meta or any("original_size" not in camera for camera in meta["cameras"]):
+            text = "global_from_ego and original_size, found an export of an earlier version: export again"
+            raise DataError(f"expected samples with {text}: {shard.path}")
         if len(sizes) != 1:
             raise DataError(f"expected cameras with maps of one size, found {sorted(sizes)}: {shard.path}")
         self.size = sizes.pop()
@@ -237,7 +235,7 @@ class ShardReader(FrameReader):
             cameras=torch.from_numpy(np.stack(numbers)),
             global_from_ego=np.stack([self._pose(frame) for frame in frames]),
             t_us=np.array([meta["t_us"] for meta in metas], np.int64),
-            original_sizes=np.stack([self._original(camera) for camera in cameras[0]]),
+            original_sizes=np.array([camera["original_size"] for camera in cameras[0]], np.int64),
             captions=tuple(tuple(camera.get("caption") or "" for camera in row) for row in cameras),
         )
 
@@ -259,37 +257,8 @@ class ShardReader(FrameReader):
         return meta
 
     def _pose(self, frame: int) -> npt.NDArray[np.float64]:
-        """Return ``global_from_ego`` of a sample.
-
-        The metadata have the pose of each camera: in samples at a rate, the pose at the time of the sample; else at the
-        time of its image. The pose of the sample then lies between poses of it and its neighbors.
-        """
         shard, sample = self._place(frame)
-        meta = shard.meta(sample)
-        if isinstance(self._times, Mapping):
-            return np.array(meta["cameras"][0]["global_from_ego"], np.float64)
-        known: dict[int, Array] = {}
-        run = next(run for run in self.runs if frame in run)
-        for neighbor in (each for each in (frame - 1, frame, frame + 1) if each in run):
-            other, place = self._place(neighbor)
-            about = other.meta(place)
-            for camera in about["cameras"]:
-                t_us = about["t_us"] if camera.get("t_us") is None else camera["t_us"]
-                known[int(t_us)] = np.array(camera["global_from_ego"], np.float64)
-        return pose_at(int(meta["t_us"]), known)
-
-    def _original(self, camera: Mapping[str, Any]) -> npt.NDArray[np.int64]:
-        """Return height and width of the recorded image, which the metadata do not have: that of square pixels.
-
-        It is the size at which maps were rendered if that has the same ratio, else only the ratio means something.
-        """
-        height, width = int(camera["height"]), int(camera["width"])
-        ratio = (camera["intrinsics"][1][1] / height) / (camera["intrinsics"][0][0] / width)
-        if self._drawn is not None:
-            high, wide = (int(side) for side in self._drawn.split("x"))
-            if abs(wide / high / ratio - 1) < _SAME_RATIO:
-                return np.array([high, wide], np.int64)
-        return np.array([height * _ASPECT_SCALE, round(height * _ASPECT_SCALE * ratio)], np.int64)
+        return np.array(shard.meta(sample)["global_from_ego"], np.float64)
 
     def motion(self, before: int, after: int) -> npt.NDArray[np.float32]:
         """Return the motion of the ego poses."""
