@@ -81,7 +81,8 @@ def augmented(maps: Maps, images: Tensor, action: Tensor, views: int, share: flo
     cameras[:, 14] = 1 - cameras[:, 14]
     known_action = (action != -1000).all(-1, keepdim=True)
     turned = torch.where(known_action, action * action.new_tensor([1.0, -1.0, -1.0]), action)
-    return Maps(*flip[:4], cameras), flip[4], turned
+    color, depth, boxes, map, images = flip
+    return Maps(color, depth, boxes, map, cameras), images, turned
 
 
 def _mirrored(images: Tensor, views: int) -> Tensor:

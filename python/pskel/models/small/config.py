@@ -65,6 +65,7 @@ class SmallConfig:
         """Return the configuration of a header. Raises ``ValueError`` for unknown keys."""
         if unknown := sorted(set(values) - {each.name for each in fields(cls)}):
             raise ValueError(f"expected keys of {cls.__name__}, found {unknown[0]}")
-        texts = {"blocks": "".join(values["blocks"])} if "blocks" in values else {}
-        sides = {name: tuple(values[name]) for name in ("encoder", "decoder") if name in values}
-        return cls(**{**values, **texts, **sides})
+        changed: dict[str, Any] = {name: tuple(values[name]) for name in ("encoder", "decoder") if name in values}
+        if "blocks" in values:
+            changed["blocks"] = "".join(values["blocks"])
+        return cls(**{**values, **changed})

@@ -161,11 +161,11 @@ def draw_batch(windows: Sequence[Frames], statistics: Statistics, options: DrawO
                 cut = (slice(None), slice(top, top + options.crop[0]), slice(left, left + options.crop[1]))
                 at = torch.tensor([number * length * views + image, top // CELL, left // CELL])
                 crops.append((planes[place][cut], images[image][cut], at))
-    work, *others = zip(*rows)
+    works, *others = zip(*rows)
     noisy, sigmas, rays, ego, clean, guess, noise, counts = (torch.stack(each) for each in others)
     planes, truth, places = (torch.stack(each) for each in zip(*crops))
-    window = Window(torch.cat(work), noisy, sigmas, rays, ego)
-    return Batch(window, clean, guess, noise, counts, planes, truth, places)
+    drawn = Window(torch.cat(works), noisy, sigmas, rays, ego)
+    return Batch(drawn, clean, guess, noise, counts, planes, truth, places)
 
 
 def _noisy(clean: Tensor, wrong: Tensor, sigmas: Tensor, counts: Tensor, dice: Dice) -> tuple[Tensor, Tensor]:

@@ -44,7 +44,7 @@ class Maps(NamedTuple):
     def known(self) -> tuple[Tensor, Tensor]:
         """Return where color and depth are known, ``[N, 1, H, W]``, 0 or 1."""
         # Three comparisons: reductions over so few channels are slow.
-        red, green, blue = self.color.split(1, 1)
+        red, green, blue = self.color.chunk(3, 1)
         is_black = (red == 0) & (green == 0) & (blue == 0)
         is_dropped = (red == NO_COLOR) & (green == NO_COLOR) & (blue == NO_COLOR)
         return (~(is_black | is_dropped)).to(self.color.dtype), (self.depth >= 0).to(self.color.dtype)
@@ -93,7 +93,7 @@ def directions(cameras: Tensor, height: int, width: int) -> Tensor:
     fx, fy, cx, cy = (numbers[:, i, None, None] for i in range(12, 16))
     y = (torch.arange(height, dtype=torch.float64, device=cameras.device)[None, :, None] + 0.5) / height
     x = (torch.arange(width, dtype=torch.float64, device=cameras.device)[None, None] + 0.5) / width
-    right, low = torch.broadcast_tensors((x - cx) / fx, (y - cy) / fy)
+    right, low = ((x - cx) / fx).expand(-1, height, -1), ((y - cy) / fy).expand(-1, -1, width)
     length = (right.square() + low.square() + 1).sqrt()
     rays = torch.stack([right / length, low / length, 1 / length], 1)
     rotations = numbers[:, :12].reshape(-1, 3, 4)[:, :, :3]

@@ -27,7 +27,7 @@ SLOPE = 0.1
 """Slope of rectified numbers below 0."""
 
 
-def _normal(parameter: nn.Parameter, spread: float) -> None:
+def _normal(parameter: Tensor, spread: float) -> None:
     nn.init.normal_(parameter, std=spread)
 
 
@@ -132,7 +132,8 @@ class Residual(nn.Module):
         """Take ``x [N, C, h, w]`` and ``modulation [N, 3 C]``."""
         shift, scale, gate = modulation[:, None, None].chunk(3, -1)
         normed = _modulated(x.permute(0, 2, 3, 1), shift, scale).permute(0, 3, 1, 2)
-        return x + gate.permute(0, 3, 1, 2) * self.b(_rectified(self.a(normed)))
+        added: Tensor = self.b(_rectified(self.a(normed)))
+        return x + gate.permute(0, 3, 1, 2) * added
 
 
 class Block(nn.Module):
@@ -151,7 +152,8 @@ class Block(nn.Module):
         shift, scale, gate = modulation[:, :, None, None, None].chunk(3, -1)
         q, k, v, hidden = self.into(_modulated(x, shift, scale)).split(self.widths, -1)
         seen = self._attention(q, k, v)
-        return x + gate * self.out(torch.cat([seen, F.gelu(hidden, approximate="tanh")], -1))
+        added: Tensor = self.out(torch.cat([seen, F.gelu(hidden, approximate="tanh")], -1))
+        return x + gate * added
 
     def _attention(self, q: Tensor, k: Tensor, v: Tensor) -> Tensor:
         B, L, V, h, w, d = q.shape
@@ -194,7 +196,7 @@ class Denoiser(nn.Module):
         self.columns = [3 * d] * len(config.blocks) + [3 * channels] * 2 + [2 * channels]
         self.modulation = _linear(d, sum(self.columns), 0.02, bias=True)
         with torch.no_grad():
-            for part in self.modulation.bias.split(self.columns)[:-1]:  # the gates
+            for part in torch.split(self.modulation.bias, self.columns)[:-1]:  # the gates
                 part[2 * len(part) // 3 :] = FIRST_GATE
         self.register_buffer("frequencies", 0.5 * 200.0 ** (torch.arange(WAVES) / (WAVES - 1)), persistent=False)
 
@@ -235,7 +237,7 @@ class Denoiser(nn.Module):
         added = self.tokens_out(tokens).reshape(B * L * V, h // 2, w // 2, -1).permute(0, 3, 1, 2)
         x = self.last(x + _doubled(added), per_image(last))
         shift, scale = per_image(end)[:, None, None].chunk(2, -1)
-        answer = self.out(_modulated(x.permute(0, 2, 3, 1), shift, scale))
+        answer: Tensor = self.out(_modulated(x.permute(0, 2, 3, 1), shift, scale))
         return answer.permute(0, 3, 1, 2).reshape(B, L, V, -1, h, w)
 
 

@@ -81,7 +81,7 @@ class SmallTask:
             raise ValueError(f"expected weights of this configuration, found {self.network.config.to_json()}: {start}")
         matrices = [each for each in self.network.parameters() if each.dim() > 1]
         vectors = [each for each in self.network.parameters() if each.dim() <= 1]
-        groups = [{"params": matrices}, {"params": vectors, "weight_decay": 0.0}]
+        groups: list[dict[str, Any]] = [{"params": matrices}, {"params": vectors, "weight_decay": 0.0}]
         self.players = [Player("network", self.network, groups)]
         if losses.adversarial > 0:
             discriminator = Discriminator()
