@@ -161,7 +161,7 @@ def test_shards_have_the_clips_of_rendering(skeletons: Path, tmp_path: Path, cpu
         torch.testing.assert_close(one.global_from_ego, other.global_from_ego, rtol=0, atol=1e-9)
         torch.testing.assert_close(one.action, other.action, rtol=0, atol=1e-6)
         assert torch.equal(one.original_sizes, other.original_sizes)
-        assert one.captions[0][0].startswith("A reader in")
+        assert one.captions[0][0].startswith("A drive in")
 
 
 def test_a_pas_cache_has_the_maps_of_rendering(skeletons: Path, tmp_path: Path) -> None:
@@ -316,6 +316,6 @@ def test_a_log_without_an_hd_map_has_a_black_map(tmp_path: Path, skeletons: Path
     log = pskel.Log(text)
     known = {row["token"] for row in tables if row["is_key_frame"]}
     assert len(log.image_tokens) == 3 and all(set(frame.values()) <= known for frame in log.image_tokens)
-    assert all(list(frame) == log[0].cameras for frame in log.image_tokens)
+    assert all(set(frame) == set(log[0].cameras) for frame in log.image_tokens)
     scenes = json.loads((version / "scene.json").read_text())
     assert [row["token"] for row in scenes] == [log.token] and log.location
