@@ -115,9 +115,10 @@ def _image_curve(sets: dict[str, list[np.ndarray]], frames: int) -> dict[int, fl
     def window(features: list[np.ndarray], start: int) -> np.ndarray:
         return np.concatenate([each[start : start + frames] for each in features])
 
-    whole = None if truth is not None else np.concatenate(sets["reference"])
-    others = (lambda start: window(truth, start)) if truth is not None else (lambda _: whole)
-    return {start: frechet_distance(window(generated, start), others(start)) for start in range(last + 1)}
+    if truth is not None:
+        return {start: frechet_distance(window(generated, start), window(truth, start)) for start in range(last + 1)}
+    whole = np.concatenate(sets["reference"])
+    return {start: frechet_distance(window(generated, start), whole) for start in range(last + 1)}
 
 
 def _clip_curve(sets: dict[str, list[np.ndarray]], starts: list[range]) -> dict[int, float]:
