@@ -187,6 +187,7 @@ fn shipped_weights_are_for_images_of_the_papers_size() {
     let weights = Weights::shipped().unwrap();
     assert_eq!(weights.config.recipe.size.to_string(), "256x448");
     assert!(weights.about.steps > 0 && weights.about.logs.len() > 1, "{:?}", weights.about);
+    assert!(weights.about.command.starts_with("python -m pskel.train "), "{}", weights.about.command);
     assert_eq!(weights.count() / 100_000, 29);
 }
 
