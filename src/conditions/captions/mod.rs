@@ -58,7 +58,10 @@ enum Caption {
 
 impl Caption {
     /// Content of a caption file.
-    const EXPECTED: &str = r#"{"LOG or TOKEN": "caption"}, {"LOG": {"time": "daytime", "weather": "clear"}} or {"SCENE_TOKEN|CHANNEL|TIME_US": {"time": "daytime", ..}}"#;
+    const EXPECTED: &str = concat!(
+        r#"{"LOG or TOKEN": "caption"}, {"LOG": {"time": "daytime", "weather": "clear"}} "#,
+        r#"or {"SCENE_TOKEN|CHANNEL|TIME_US": {"time": "daytime", ..}}"#,
+    );
 
     /// Converts a JSON value. Returns a description of the value if it is no caption.
     fn new(value: Value) -> Result<Self, String> {
