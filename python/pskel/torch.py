@@ -24,9 +24,9 @@ except ImportError as error:
 from . import Log, Renderer, Scene, Skeleton
 from ._types import RenderKeywords, check_names
 from .train.data.captions import Caption, CaptionOf, Captions, captions_of, captions_of_log, read_captions
-from .train.data.reader import frames_apart, is_steady
 from .train.data.logs import mounted_cameras
 from .train.data.numbers import camera_numbers, ego_motion
+from .train.data.reader import frames_apart, is_steady
 from .train.errors import DataError
 
 if TYPE_CHECKING:
@@ -203,7 +203,7 @@ def _name_and_times(source: ClipSource) -> tuple[str, list[int]]:
 def _of_logs(
     captions: CaptionOf | Captions | str | os.PathLike[str] | None, sources: Sequence[ClipSource], names: Sequence[str]
 ) -> list[CaptionOf | dict[str, Caption]] | None:
-    """Return the captions of each log: files are large, and workers need those of their logs."""
+    """Return the captions of each log: files are large, and a worker needs a few."""
     if captions is None or callable(captions):
         return None if captions is None else [captions] * len(names)
     try:

@@ -7,8 +7,8 @@
 //! returns the finished latent of the step. A [`Codec`] decodes that latent into images. `schedule` and
 //! `sampler` define the noise levels and the denoising update. `window` computes the position of every frame
 //! of the window in its schedule, and `guidance` combines two predictions. Networks are exchangeable: the
-//! crate `pskel-network` has a small one, [`toy`] is a linear network for tests, and [`ProcessDenoiser`] calls
-//! a network in another process.
+//! crate `pskel-network` has a small one, [`toy`] is a linear network for tests, and [`ProcessDenoiser`]
+//! calls a network in another process.
 
 mod conditions;
 mod denoiser;

@@ -1,4 +1,5 @@
-//! The network equals its definition in PyTorch within 1e-4 of the outputs' standard deviation. `python/tests/small/parity.py` writes the expected outputs.
+//! The network equals its definition in PyTorch within 1e-4 of the outputs' standard deviation.
+//! `python/tests/small/parity.py` writes the expected outputs.
 
 use std::path::{Path, PathBuf};
 

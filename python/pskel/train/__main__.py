@@ -21,7 +21,7 @@ PROGRAM = "pskel.train"
 
 
 def _keys(table: str, kind: type[TrainOptions] | type[DataOptions]) -> str:
-    """Return the keys of a table of the configuration with their defaults; ``null`` has none."""
+    """Return a table's keys with their defaults; ``null`` has none."""
     defaults = ", ".join(f"{key} = {json.dumps(value)}" for key, value in asdict(kind()).items())
     return textwrap.fill(f"[{table}] {defaults}", 100, initial_indent="  ", subsequent_indent="    ")
 

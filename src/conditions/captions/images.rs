@@ -2,14 +2,14 @@ use std::collections::BTreeMap;
 
 use serde_json::{Map, Value, json};
 
-use crate::dataset::Recording;
+use crate::files::FileName;
 
 /// Captions by scene token and channel, then by time in microseconds. Source: the caption files that OpenDWM
 /// publishes for nuScenes, whose keys are `SCENE_TOKEN|CHANNEL|TIME_US`.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub(super) struct ImageCaptions(BTreeMap<(String, String), BTreeMap<i64, ImageCaption>>);
 
-/// Parts of the caption of an image, in the order of [`FIELDS`]; empty if absent.
+/// Parts of an image's caption, in the order of [`FIELDS`]; empty if absent.
 type ImageCaption = [String; FIELDS.len()];
 
 const FIELDS: [&str; 5] = ["time", "weather", "environment", "objects", "image_description"];
@@ -28,17 +28,17 @@ impl ImageCaptions {
         }))
     }
 
-    /// Returns the texts of all cameras, whose images have these times; `None` without a caption of the scene.
-    /// Each is of the caption that is nearest in time; time of day and weather are those of most cameras.
-    pub(super) fn of_cameras(&self, log: &Recording, times_us: &[i64]) -> Option<Vec<String>> {
-        let nearest = |(channel, t_us): (&crate::files::FileName, &i64)| {
-            let captions = self.0.get(&(log.token.clone(), channel.to_string()))?;
+    /// Returns the texts of cameras at the times of their images; `None` without a caption of the scene. Each
+    /// is of the caption nearest in time; most cameras decide on time of day and weather.
+    pub(super) fn of_cameras(&self, scene: &str, cameras: &[(&FileName, i64)]) -> Option<Vec<String>> {
+        let nearest = |(channel, t_us): &(&FileName, i64)| {
+            let captions = self.0.get(&(scene.to_owned(), channel.to_string()))?;
             let before = captions.range(..=t_us).next_back();
             let after = captions.range(t_us..).next();
             let both = before.into_iter().chain(after);
             both.min_by_key(|(found_us, _)| found_us.abs_diff(*t_us)).map(|(_, caption)| caption)
         };
-        let found: Vec<Option<&ImageCaption>> = log.cameras.iter().zip(times_us).map(nearest).collect();
+        let found: Vec<Option<&ImageCaption>> = cameras.iter().map(nearest).collect();
         let common: [&str; COMMON] = std::array::from_fn(|field| {
             most_common(found.iter().flatten().map(|caption| caption[field].as_str()))
         });
@@ -98,14 +98,6 @@ fn most_common<'a>(texts: impl Iterator<Item = &'a str> + Clone) -> &'a str {
 mod tests {
     use super::*;
 
-    fn log(token: &str, cameras: &[&str]) -> Recording {
-        Recording {
-            token: token.into(),
-            cameras: cameras.iter().map(|name| name.parse().unwrap()).collect(),
-            ..Recording::default()
-        }
-    }
-
     #[test]
     fn nearest_caption_with_the_time_and_weather_of_most_cameras() {
         let mut captions = ImageCaptions::default();
@@ -119,17 +111,17 @@ mod tests {
         add("s|CAM_B|110", "night", "rain", "b");
         add("s|CAM_C|90", "night", "sun", "c");
         add("t|CAM_A|150", "dusk", "fog", "other scene");
-        let log_s = log("s", &["CAM_A", "CAM_B", "CAM_C", "CAM_D"]);
-        let at = |t_us| captions.of_cameras(&log_s, &[t_us; 4]).unwrap();
+        let names = ["CAM_A", "CAM_B", "CAM_C", "CAM_D"].map(|name| name.parse::<FileName>().unwrap());
+        let [a, b, _, d] = &names;
+        let at = |t_us| captions.of_cameras("s", &names.each_ref().map(|name| (name, t_us))).unwrap();
         let expected = ["night. rain. cars. first", "night. rain. cars. b", "night. rain. cars. c", ""];
         assert_eq!(at(149), expected);
         assert_eq!(at(151)[0], "night. rain. cars. second");
         assert_eq!((&at(-1000)[0], &at(1000)[0]), (&expected[0].to_owned(), &at(151)[0]));
         // Two cameras each: the first of several.
-        let two = log("s", &["CAM_A", "CAM_B"]);
-        assert_eq!(captions.of_cameras(&two, &[100, 110]).unwrap()[1], "day. rain. cars. b");
-        assert_eq!(captions.of_cameras(&log("u", &["CAM_A"]), &[100]), None);
-        assert_eq!(captions.of_cameras(&log("s", &["CAM_D"]), &[100]), None);
+        assert_eq!(captions.of_cameras("s", &[(a, 100), (b, 110)]).unwrap()[1], "day. rain. cars. b");
+        assert_eq!(captions.of_cameras("u", &[(a, 100)]), None);
+        assert_eq!(captions.of_cameras("s", &[(d, 100)]), None);
     }
 
     #[test]

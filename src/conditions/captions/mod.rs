@@ -12,7 +12,7 @@ use self::images::ImageCaptions;
 use super::write::meta::PromptParts;
 use crate::dataset::{ImageRecord, Recording};
 use crate::error::FileError;
-use crate::files::json;
+use crate::files::{FileName, json};
 
 /// Captions by name of a log, token of an image, or scene, camera and time.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -99,8 +99,8 @@ impl Caption {
 }
 
 impl Captions {
-    /// Reads `{"LOG or TOKEN": "caption"}`; a caption may also be `{"time": "daytime", "weather": "clear"}`. Keys
-    /// `SCENE_TOKEN|CHANNEL|TIME_US`, as in the files of OpenDWM, have `time`, `weather`, `environment`,
+    /// Reads `{"LOG or TOKEN": "caption"}`; a caption may also be `{"time": "daytime", "weather": "clear"}`.
+    /// Keys `SCENE_TOKEN|CHANNEL|TIME_US`, as in the files of OpenDWM, have `time`, `weather`, `environment`,
     /// `objects` and `image_description`, each optional.
     ///
     /// # Errors
@@ -119,26 +119,26 @@ impl Captions {
         Ok(captions)
     }
 
-    /// Returns the caption of a log: its own, else the prompt, or the data set's description; empty without any.
+    /// Returns the caption of a log: its own, else the prompt, or the data set's description; empty without
+    /// any.
     pub fn of_log(&self, log: &Recording, prompt: &PromptParts) -> String {
         let given = self.named.get(&log.name).map(|caption| caption.text(log));
         given.or_else(|| prompt.prompt()).unwrap_or_else(|| log.description.clone())
     }
 
-    /// Returns the captions of a log's cameras at a time, absolute microseconds: each image's own, else the
-    /// log's. `images` has the image of each camera at that time, if there is one.
+    /// Returns the captions of cameras at a time, absolute microseconds: the image's own, else the log's.
+    /// `cameras` has names and the images at that time, if there are any.
     pub fn of_cameras(
         &self,
         log: &Recording,
         t_us: i64,
-        images: &[Option<&ImageRecord>],
+        cameras: &[(&FileName, Option<&ImageRecord>)],
         prompt: &PromptParts,
     ) -> Vec<String> {
-        let image = |camera: usize| images.get(camera).copied().flatten();
-        let mut captions = self.of_images(log, t_us, image).unwrap_or_default();
-        captions.resize(log.cameras.len(), String::new());
-        for (camera, caption) in captions.iter_mut().enumerate() {
-            if let Some(own) = image(camera).and_then(|image| self.named.get(&image.token)) {
+        let mut captions = self.of_images(log, t_us, cameras).unwrap_or_default();
+        captions.resize(cameras.len(), String::new());
+        for ((_, image), caption) in cameras.iter().zip(&mut captions) {
+            if let Some(own) = image.and_then(|image| self.named.get(&image.token)) {
                 *caption = own.text(log);
             } else if caption.is_empty() {
                 *caption = self.of_log(log, prompt);
@@ -147,27 +147,28 @@ impl Captions {
         captions
     }
 
-    /// Returns the captions by scene, camera and time of a log's cameras; `None` if there is none of this log.
-    fn of_images<'a>(
+    /// Returns captions by scene, camera and time; `None` if there is none of this log.
+    fn of_images(
         &self,
         log: &Recording,
         t_us: i64,
-        image: impl Fn(usize) -> Option<&'a ImageRecord>,
+        cameras: &[(&FileName, Option<&ImageRecord>)],
     ) -> Option<Vec<String>> {
-        let time_of = |camera| image(camera).map_or(t_us, |image| image.t_us);
-        let times_us: Vec<i64> = (0..log.cameras.len()).map(time_of).collect();
-        self.of_images.of_cameras(log, &times_us)
+        let timed = cameras.iter().map(|(name, image)| (*name, image.map_or(t_us, |image| image.t_us)));
+        self.of_images.of_cameras(&log.token, &timed.collect::<Vec<_>>())
     }
 
-    /// Returns the captions of a log's frames: those of its cameras, else the first one among a frame's images
-    /// by token in camera order, else the log's. A frame without any has those of the frame before, or none.
-    /// `None` if no caption is of this log.
+    /// Returns the captions of a log's frames: by scene, camera and time, else the first one among a frame's
+    /// images by token in camera order, else the log's. A frame without any has the captions of the frame
+    /// before, or none. `None` if no caption is of this log.
     pub fn of_frames(&self, log: &Recording) -> Option<FrameCaptions> {
         let of_log = self.named.get(&log.name);
         let mut captions: Vec<(i64, Prompts)> = Vec::new();
         for frame in &log.frames {
-            let image = |camera| frame.images.iter().find(|image| image.channel == camera);
-            let of_cameras = self.of_images(log, frame.t_us, image).map(Prompts::Cameras);
+            let image_of = |channel| frame.images.iter().find(|image| image.channel == channel);
+            let rig = log.rig.iter().map(|camera| camera.channel);
+            let cameras: Vec<_> = rig.map(|channel| (&log.cameras[channel], image_of(channel))).collect();
+            let of_cameras = self.of_images(log, frame.t_us, &cameras).map(Prompts::Cameras);
             let found = of_cameras.or_else(|| {
                 let of_token = frame.images.iter().find_map(|image| self.named.get(&image.token));
                 of_token.or(of_log).map(|caption| Prompts::Frame(caption.text(log)))
@@ -198,7 +199,7 @@ impl Serialize for Captions {
 pub struct FrameCaptions(Vec<(i64, Prompts)>);
 
 impl FrameCaptions {
-    /// Returns the captions at a time, absolute microseconds: those of the last frame up to then; an empty one
+    /// Returns the captions at a time, absolute microseconds, of the last frame up to then; an empty text
     /// before the first frame with some.
     pub fn at(&self, t_us: i64) -> &Prompts {
         let after = self.0.partition_point(|(begin_us, _)| *begin_us <= t_us);
@@ -209,7 +210,7 @@ impl FrameCaptions {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::dataset::{Frame, ImageRecord};
+    use crate::dataset::{Frame, ImageRecord, RigCamera};
     use crate::geometry::{Camera, Pose};
 
     fn captions(entries: &[(&str, &str)]) -> Captions {
@@ -265,11 +266,11 @@ mod tests {
         let prompt = PromptParts { weather: Some("Rainy".into()), city: None };
         let none = PromptParts::default();
         let (own, none_of_its_own) = (image("t"), image("u"));
-        let images = [Some(&own), Some(&none_of_its_own)];
-        assert_eq!(captions.of_cameras(&log, 0, &images, &prompt), ["image", "of the log"]);
-        let other = Recording { name: "other".into(), ..log };
+        let cameras = [(&log.cameras[0], Some(&own)), (&log.cameras[1], Some(&none_of_its_own))];
+        assert_eq!(captions.of_cameras(&log, 0, &cameras, &prompt), ["image", "of the log"]);
+        let other = Recording { name: "other".into(), ..log.clone() };
         assert_eq!(captions.of_log(&other, &prompt), "Rainy. A driving scene");
-        assert_eq!(captions.of_cameras(&other, 0, &[], &none), ["described"; 2]);
+        assert_eq!(captions.of_cameras(&other, 0, &cameras, &none), ["image", "described"]);
     }
 
     fn image(token: &str) -> ImageRecord {
@@ -321,7 +322,9 @@ mod tests {
         let log = Recording {
             name: "log".into(),
             token: "s".into(),
-            cameras: vec!["a".parse().unwrap(), "b".parse().unwrap()],
+            cameras: ["none", "a", "b"].map(|name| name.parse().unwrap()).to_vec(),
+            // A camera without any image is not in the scenes.
+            rig: [1, 2].map(|channel| RigCamera { channel, ..RigCamera::from(&image("x")) }).to_vec(),
             frames: vec![frame(10, &[]), frame(30, &[])],
             ..Recording::default()
         };
@@ -331,10 +334,11 @@ mod tests {
         assert_eq!(found.at(30), &cameras(["Day. A bus", "Day. cars"]));
         assert_eq!(found.at(9), &Prompts::default());
         let none = PromptParts::default();
-        assert_eq!(captions.of_cameras(&log, 12, &[], &none), ["Day. A bus", "Day"]);
+        let cameras = [(&log.cameras[1], None), (&log.cameras[2], None)];
+        assert_eq!(captions.of_cameras(&log, 12, &cameras, &none), ["Day. A bus", "Day"]);
         // Logs of other data sets have no token.
-        let other = Recording { token: String::new(), ..log };
-        assert_eq!(captions.of_cameras(&other, 12, &[], &none), ["Dry", "Dry"]);
+        let other = Recording { token: String::new(), ..log.clone() };
+        assert_eq!(captions.of_cameras(&other, 12, &cameras, &none), ["Dry", "Dry"]);
         std::fs::write(&path, r#"{"s|a|10": {"season": "fall"}}"#).unwrap();
         let message = Captions::read(&path).unwrap_err().to_string();
         assert!(message.contains("found a field \"season\" for \"s|a|10\""), "{message}");

@@ -115,16 +115,10 @@ impl Source<'_> {
 
     /// Returns the captions of the cameras' images.
     pub(crate) fn captions(&self, sample: &Sample<'_>) -> Vec<String> {
-        let (log, options) = (self.recording(), self.options);
-        let channels = sample.state.cameras.iter().map(|camera| &camera.view.camera.name);
-        let channels: Vec<usize> =
-            channels.map(|name| log.cameras.iter().position(|of_log| of_log == name).unwrap_or(0)).collect();
-        let mut images = vec![None; log.cameras.len()];
-        for (channel, image) in channels.iter().zip(&sample.images) {
-            images[*channel] = *image;
-        }
-        let captions = options.captions.of_cameras(log, sample.state.t_us, &images, &options.prompt);
-        channels.into_iter().map(|channel| captions[channel].clone()).collect()
+        let names = sample.state.cameras.iter().map(|camera| &camera.view.camera.name);
+        let cameras: Vec<_> = names.zip(sample.images.iter().copied()).collect();
+        let (captions, prompt) = (&self.options.captions, &self.options.prompt);
+        captions.of_cameras(self.recording(), sample.state.t_us, &cameras, prompt)
     }
 }
 

@@ -11,8 +11,8 @@ use rand_seeder::SipHasher;
 
 use crate::{Condition, DenoiserError, DroppedConditions};
 
-/// Conditions of one frame: maps of all cameras, as bytes and depth bins, and numbers. Maps of the cameras are
-/// concatenated, `[V, H, W]`.
+/// Conditions of one frame: maps of all cameras, as bytes and depth bins, and numbers. Maps of the cameras
+/// are concatenated, `[V, H, W]`.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FrameConditions {
     /// Size of the maps, H x W.

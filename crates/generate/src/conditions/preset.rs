@@ -23,19 +23,14 @@ pub struct Preset {
 }
 
 impl Preset {
-    /// Names of the presets.
-    pub const NAMES: [&'static str; 4] =
-        ["pas-nuscenes", "pas-nuplan", "pas-image-nuscenes", "pas-image-nuplan"];
-
     /// Returns the preset of a name.
     pub fn named(name: &str) -> Option<Self> {
-        let [nuscenes, nuplan] = [
-            |size, radius_m| recipe([900, 1600], size, &[(15.0, 2), (35.0, 1), (100.0, 0)], radius_m),
-            |size, radius_m| Recipe {
-                map_layers: LayoutLayers::Dividers,
-                ..recipe([1080, 1920], size, &[(25.0, 1), (50.0, 0)], radius_m)
-            },
-        ];
+        let nuscenes =
+            |size, radius_m| recipe([900, 1600], size, &[(15.0, 2), (35.0, 1), (100.0, 0)], radius_m);
+        let nuplan = |size, radius_m| Recipe {
+            map_layers: LayoutLayers::Dividers,
+            ..recipe([1080, 1920], size, &[(25.0, 1), (50.0, 0)], radius_m)
+        };
         let video = |recipe, window, steps| Self {
             recipe,
             window,
@@ -47,12 +42,12 @@ impl Preset {
             sampler: SamplerOptions::Ddim { prediction: Prediction::Epsilon },
             ..video(recipe, 2, 20)
         };
-        let place = Self::NAMES.iter().position(|known| *known == name)?;
-        Some(match place {
-            0 => video(nuscenes([256, 448], 50.0), 12, 36),
-            1 => video(nuplan([224, 448], 150.0), 10, 30),
-            2 => image(nuscenes([224, 400], 100.0)),
-            _ => image(nuplan([224, 400], 100.0)),
+        Some(match name {
+            "pas-nuscenes" => video(nuscenes([256, 448], 50.0), 12, 36),
+            "pas-nuplan" => video(nuplan([224, 448], 150.0), 10, 30),
+            "pas-image-nuscenes" => image(nuscenes([224, 400], 100.0)),
+            "pas-image-nuplan" => image(nuplan([224, 400], 100.0)),
+            _ => return None,
         })
     }
 }
@@ -98,8 +93,9 @@ mod tests {
                 "color_filter": "bilinear", "bins": {"count": 256, "far_m": 100.0}, "template_fit": "none",
                 "line_width": "scaled", "map_layers": "dividers"}"#,
         ];
+        let names = ["pas-nuscenes", "pas-nuplan", "pas-image-nuscenes", "pas-image-nuplan"];
         let loops = [[12, 36], [10, 30], [2, 20], [2, 20]];
-        for ((name, text), loops) in Preset::NAMES.iter().zip(texts).zip(loops) {
+        for ((name, text), loops) in names.into_iter().zip(texts).zip(loops) {
             let preset = Preset::named(name).unwrap();
             assert_eq!(preset.recipe, serde_json::from_str::<Recipe>(text).unwrap(), "{name}");
             assert_eq!(([preset.window, preset.steps], preset.guidance), (loops, 2.0), "{name}");

@@ -4,8 +4,8 @@ use super::LANES;
 use super::math::{Product, wide};
 
 /// Convolution by 3x3 pixels of images `[N, H, W, C]` with zeros around them, a bias, and optionally a
-/// rectification: numbers below 0 are multiplied by [`SLOPE`]. The weights are `[9 C, D]`, with a row per (y, x, input channel) and a column per output channel. C
-/// and D are multiples of [`LANES`].
+/// rectification: numbers below 0 are multiplied by [`SLOPE`]. The weights are `[9 C, D]`, with a row per (y,
+/// x, input channel) and a column per output channel. C and D are multiples of [`LANES`].
 #[derive(Clone, Copy, Debug)]
 pub(in super::super) struct Convolution {
     pub(in super::super) height: usize,

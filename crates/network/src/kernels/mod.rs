@@ -1,5 +1,5 @@
-//! Operations of the network: convolutions of 3x3 pixels, linear layers, halving and doubling, attention along
-//! three axes, GELU, and a norm and a residual that are modulated per frame.
+//! Operations of the network: convolutions of 3x3 pixels, linear layers, halving and doubling, attention
+//! along three axes, GELU, and a norm and a residual that are modulated per frame.
 //!
 //! # How it works
 //! Plain loops over slices, written so that the compiler vectorizes them under `pulp`'s dispatch. Attention

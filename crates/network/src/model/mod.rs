@@ -2,9 +2,9 @@
 //! once per frame. The denoiser works on latents, the mean colors of 16x16 pixels, with attention within
 //! images, across cameras and over time. The decoder turns a finished latent into images; it sees the
 //! conditions again, at full size. Defined in PyTorch by `pskel.models.small.network`, with the same names.
-//! Sources: Ronneberger et al., "U-Net", 2015; Peebles and Xie, "Scalable Diffusion Models with Transformers",
-//! 2023; Chen et al., "Diffusion Forcing", 2024 (a noise level per frame); Shi et al., "Real-Time Single Image
-//! and Video Super-Resolution", 2016 (pixels as channels).
+//! Sources: Ronneberger et al., "U-Net", 2015; Peebles and Xie, "Scalable Diffusion Models with
+//! Transformers", 2023; Chen et al., "Diffusion Forcing", 2024 (a noise level per frame); Shi et al.,
+//! "Real-Time Single Image and Video Super-Resolution", 2016 (pixels as channels).
 
 mod decoder;
 mod denoiser;

@@ -23,10 +23,10 @@ use crate::WrongUsage;
 #[command(next_help_heading = "Generator")]
 pub(crate) struct GeneratorArgs {
     /// Generate the cameras' images with a network: network (shipped with the program), network:FILE with
-    /// weights of `python -m pskel.train`, fill (no network: holes filled), or process:COMMAND, process:unix:PATH or
-    /// process:tcp:HOST:PORT (docs/src/reference/denoiser.md). Each planning step gets steps/STEP/generated,
-    /// and truth if ground truth is known. Map options apply to the written maps; the network's conditions
-    /// are rendered as in its training
+    /// weights of `python -m pskel.train`, fill (no network: holes filled), or process:COMMAND,
+    /// process:unix:PATH or process:tcp:HOST:PORT (docs/src/reference/denoiser.md). Each planning step gets
+    /// steps/STEP/generated, and truth if ground truth is known. Map options apply to the written maps; the
+    /// network's conditions are rendered as in its training
     #[arg(long, value_name = "NETWORK")]
     pub(crate) generator: Option<NetworkName>,
     /// Strategy for advancing the window, and its number: reset_and_roll or rolling, `clean` (leading frames
@@ -57,14 +57,14 @@ pub(crate) struct GeneratorArgs {
     #[arg(long, value_parser = names::<SamplerOptions>())]
     sampler: Option<SamplerOptions>,
     /// With process:.. and fill, the recipe of the conditions as JSON, in which missing fields have their
-    /// defaults; or pas-nuscenes, pas-nuplan, pas-image-nuscenes or pas-image-nuplan, that of a network of the
-    /// paper with the defaults of its window, steps, sampler and guidance [default for fill: that of the
+    /// defaults; or pas-nuscenes, pas-nuplan, pas-image-nuscenes or pas-image-nuplan, that of a network of
+    /// the paper with the defaults of its window, steps, sampler and guidance [default for fill: that of the
     /// shipped network]
     #[arg(long, value_name = "RECIPE")]
     recipe: Option<PathBuf>,
     /// Captions, in place of the prompt of --annotations, by name of a recording or token of an image:
-    /// {"scene-0061": "Parked truck, turn left"}, or per camera and time as OpenDWM's. A frame without one has
-    /// that of the frame before
+    /// {"scene-0061": "Parked truck, turn left"}, or per camera and time as OpenDWM's. A frame without one
+    /// has that of the frame before
     #[arg(long, value_name = "F.json")]
     captions: Option<PathBuf>,
     /// With process:.., time-out for each of its answers, seconds [default: 60]

@@ -17,7 +17,7 @@ __all__ = ["Caption", "CaptionOf", "Captions", "captions_of", "captions_of_log",
 Parts = Mapping[str, str]
 """Parts of a caption, by ``PARTS``; parts may be missing."""
 ImageCaptions = Mapping[str, Mapping[int, Parts]]
-"""Captions of the images of a log, by channel and time in microseconds."""
+"""Captions of a log's images, by channel and time in microseconds."""
 Caption = str | Sequence[str | Sequence[str]] | ImageCaptions
 """Of a log: a text, one per frame, one per frame and camera in the order of the log, or captions of images."""
 CaptionOf = Callable[[str, int, str], str]
@@ -130,7 +130,7 @@ def captions_of(
 
 
 def _nearest(captions: ImageCaptions, log: str, t_us: int, cameras: Sequence[str]) -> tuple[str, ...]:
-    """Return the captions nearest in time. Time and weather are those of most cameras, of several the first one's."""
+    """Return the captions nearest in time. Most cameras decide on time and weather, the first one in a tie."""
     if not any(camera in captions for camera in cameras):
         raise ValueError(f"expected captions of {cameras[0]} in {log}, found those of {', '.join(captions)}")
     found = {

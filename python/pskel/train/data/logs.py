@@ -93,7 +93,7 @@ class LogReader(FrameReader):
     """The key frames of a log. A subclass has the maps."""
 
     def __init__(self, text: str, recipe: Mapping[str, Any], captions: Mapping[str, Caption]) -> None:
-        """Open a log. ``captions`` are those of ``captions_of_log``."""
+        """Open a log, with the captions that ``captions_of_log`` returns."""
         self.text = self.source = text
         self.recipe = recipe
         self._captions = captions

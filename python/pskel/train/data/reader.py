@@ -1,4 +1,4 @@
-"""Readers of the frames of a log, and the clips in them."""
+"""Readers of a log's frames, and the clips in them."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class Frames(NamedTuple):
 
 
 class FrameReader(ABC):
-    """Reads frames of a log, or of a variant of it: moved, or with degraded assets."""
+    """Reads frames of a log or its variant: moved, or with degraded assets."""
 
     log: str
     """Name of the log."""

@@ -73,7 +73,7 @@ class RenderedSource:
     recipe: Mapping[str, Any]
     change: Variant = field(default_factory=Variant)
     captions: Mapping[str, Caption] = field(default_factory=dict)
-    """Those of ``captions_of_log``."""
+    """As ``captions_of_log`` returns them."""
     rasterizer: str = "auto"
 
     def key(self) -> str:

@@ -30,7 +30,7 @@ def scene_token(text: str, log: str) -> str | None:
 
 
 def location_of(text: str) -> str:
-    """Return the location of a log of nuPlan, such as ``las_vegas``; an empty text of other formats."""
+    """Return a nuPlan log's location, such as ``las_vegas``; an empty text for other formats."""
     kind, path, _ = _located(text)
     rows = _query(path, "SELECT location FROM log") if kind == "nuplan" and path.is_file() else []
     return str(rows[0][0] or "") if rows else ""

@@ -30,7 +30,8 @@ pub(crate) struct AblationArgs {
     /// Network: network (shipped with the program), or network:FILE with weights of `python -m pskel.train`
     #[arg(long, value_name = "NETWORK", default_value = "network")]
     generator: NetworkName,
-    /// Weights that were trained without degraded assets, for the row that measures the effect of asset augmentation
+    /// Weights that were trained without degraded assets, for the row that measures the effect of asset
+    /// augmentation
     #[arg(long, value_name = "FILE")]
     plain_weights: Option<PathBuf>,
     /// Weights of the same training with another seed, for a row that measures random variation; may be
