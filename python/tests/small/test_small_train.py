@@ -14,7 +14,7 @@ from pskel.models.small.augment import Dice, augmented  # noqa: E402
 from pskel.models.small.draws import DrawOptions, Frames, Statistics, draw_batch, draw_levels, sigmas_of  # noqa: E402
 from pskel.models.small.fill import fill  # noqa: E402
 from pskel.models.small.levels import Levels  # noqa: E402
-from pskel.models.small.losses import Discriminator, answer_loss, guess_errors, similarity  # noqa: E402
+from pskel.models.small.losses import Discriminator, answer_loss, guess_errors, similarity, texture_errors  # noqa: E402
 from pskel.models.small.network import SmallNetwork  # noqa: E402
 from pskel.models.small.weights import load, save  # noqa: E402
 
@@ -65,6 +65,23 @@ def test_similarity_is_that_of_windows() -> None:
     expected = (2 * mx * my + 1e-4) / (mx**2 + my**2 + 1e-4) * (2 * (mean(x * y) - mx * my) + 9e-4) / (variances + 9e-4)
     assert np.abs(similarity(images, truth).numpy() - expected.mean((1, 2, 3))).max() < 1e-5
     assert (similarity(truth, truth) - 1).abs().max() < 1e-5
+
+
+def test_texture_errors_are_those_of_contrast_in_blocks() -> None:
+    generator = torch.Generator().manual_seed(3)
+    truth = torch.rand(2, 3, 25, 33, generator=generator)
+    images = truth.clone()
+    images[1] = 0.5 + (truth[1] - 0.5) * 1.25
+    levels = truth.double().mean(1).numpy()
+    right, below = np.diff(levels, axis=2)[:, :-1], np.diff(levels, axis=1)[:, :, :-1]
+    blocks = np.hypot(right, below).reshape(2, 3, 8, 4, 8).mean((2, 4))
+    found = texture_errors(images, truth)
+    assert found[0] == 0
+    assert abs(found[1] - 0.25 * blocks[1].mean()) < 1e-4
+    # Contrast at other places of a block is as good.
+    assert texture_errors(truth.roll((1, 1), (2, 3))[:, :, :24, :24], truth[:, :, :24, :24])[0] < 0.2 * blocks.mean()
+    shifted = torch.full((1, 3, 17, 17), 0.5)
+    assert texture_errors(shifted + 0.1, shifted)[0] == 0
 
 
 def test_the_target_is_the_answer_that_recovers_clean_latents() -> None:

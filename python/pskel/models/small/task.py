@@ -18,7 +18,7 @@ from .augment import Dice
 from .config import CELL, SmallConfig
 from .draws import Batch, DrawOptions, Frames, Statistics, draw_batch
 from .inputs import Maps, cells, ego_numbers, full_planes, token_rays, work_planes
-from .losses import Discriminator, answer_loss, guess_errors, image_weights, similarity
+from .losses import Discriminator, answer_loss, guess_errors, image_weights, similarity, texture_errors
 from .network import Features, SmallNetwork, Window
 from .weights import header, parameters
 
@@ -35,10 +35,11 @@ class LossOptions:
     absolute: float = 10.0
     square: float = 100.0
     structure: float = 1.0
+    texture: float = 0.0
     adversarial: float = 0.1
     features: float = 2.0
-    """Of the decoded images: absolute and squared error, 1 minus the structural similarity, the discriminator, and the errors of
-    its features."""
+    """Of the decoded images: absolute and squared error, 1 minus the structural similarity, the difference of gradient
+    magnitudes, the discriminator, and the errors of its features."""
     adversarial_start: int = 1_000_000_000
     """First step with a discriminator, which is trained from ``adversarial_warmup`` steps before."""
     adversarial_warmup: int = 150
@@ -146,8 +147,10 @@ class SmallTask:
         off = (images - drawn.truth) * weights
         absolute, square = off.abs().mean(), off.square().mean()
         structure = ((1 - similarity(images, drawn.truth)) * weights.flatten()).mean()
-        loss = answers + self._losses.absolute * absolute + self._losses.square * square + self._losses.structure * structure
-        logged = {"answer": answers.item(), "absolute": absolute.item(), "square": square.item(), "structure": structure.item()}
+        texture = (texture_errors(images, drawn.truth) * weights.flatten()).mean()
+        errors_of_images = {"absolute": absolute, "square": square, "structure": structure, "texture": texture}
+        loss = answers + sum(getattr(self._losses, name) * error for name, error in errors_of_images.items())
+        logged = {"answer": answers.item()} | {name: error.item() for name, error in errors_of_images.items()}
         begun = step - self._losses.adversarial_start
         if begun >= 0 and "discriminator" in modules:
             with torch.no_grad():
