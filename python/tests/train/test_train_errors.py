@@ -341,3 +341,24 @@ def test_a_stopped_process_says_so(tmp_path: Path, clip: Path, number: int, stat
     process.send_signal(number)
     said = process.communicate(timeout=60)[1]
     assert process.returncode == status and said.splitlines()[-1].startswith(f"pskel.train: {text}"), said
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
+def test_preparing_ends_with_the_training(number: int) -> None:
+    program = (
+        "import time; from pskel.train.data.jobs import in_rounds; from pskel.train.parallel import Processes; "
+        "in_rounds(Processes(), [(time.sleep, (600,))], ['sleeping'], lambda text: None)"
+    )
+    process = start("-c", program)
+    children: list[Path] = []
+    while len(children) < 2:  # the child, and the resource tracker of multiprocessing
+        assert process.poll() is None
+        time.sleep(0.02)
+        found = Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()
+        children = [Path("/proc", child, "cmdline") for child in found]
+    process.send_signal(number)
+    process.wait(timeout=60)
+    deadline = time.monotonic() + 60
+    while any(child.is_file() and child.read_bytes() for child in children):
+        assert time.monotonic() < deadline
+        time.sleep(0.02)

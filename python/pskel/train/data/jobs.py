@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import multiprocessing
+import os
+import threading
 from collections.abc import Callable, Sequence
-from multiprocessing.connection import Connection
+from multiprocessing.connection import Connection, wait
 from typing import Any
 
 from ..errors import DataError, TrainError, first_line
@@ -60,6 +62,7 @@ def _in_child(function: Callable[..., None], *arguments: Any) -> None:
 
 
 def _run(sender: Connection, function: Callable[..., None], arguments: tuple[Any, ...]) -> None:
+    threading.Thread(target=_end_with_parent, daemon=True).start()
     try:
         function(*arguments)
         sender.send(None)
@@ -69,3 +72,11 @@ def _run(sender: Connection, function: Callable[..., None], arguments: tuple[Any
         sender.send(str(error))
     except Exception as error:  # the parent says what happened
         sender.send(f"{type(error).__name__}: {first_line(error)}")
+
+
+def _end_with_parent() -> None:
+    """End this process once its parent has ended, however that was: another start could not write what this one locks."""
+    parent = multiprocessing.parent_process()
+    assert parent is not None
+    wait([parent.sentinel])
+    os._exit(1)
