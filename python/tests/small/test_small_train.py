@@ -10,7 +10,8 @@ torch = pytest.importorskip("torch")
 pytest.importorskip("safetensors")
 import parity  # noqa: E402
 import pskel  # noqa: E402
-from pskel.models.small.augment import Dice, augmented  # noqa: E402
+import torch.nn.functional as F  # noqa: E402
+from pskel.models.small.augment import Dice, agreeing, augmented  # noqa: E402
 from pskel.models.small.draws import DrawOptions, Frames, Statistics, draw_batch, draw_levels, sigmas_of  # noqa: E402
 from pskel.models.small.fill import fill  # noqa: E402
 from pskel.models.small.levels import Levels  # noqa: E402
@@ -82,6 +83,21 @@ def test_texture_errors_are_those_of_contrast_in_blocks() -> None:
     assert texture_errors(truth.roll((1, 1), (2, 3))[:, :, :24, :24], truth[:, :, :24, :24])[0] < 0.2 * blocks.mean()
     shifted = torch.full((1, 3, 17, 17), 0.5)
     assert texture_errors(shifted + 0.1, shifted)[0] == 0
+
+
+def test_points_may_have_the_mean_colors_of_the_images() -> None:
+    maps, images, _ = frames()
+    known = maps.known()[0]
+    assert 0.1 < known.mean() < 0.9
+    shifted = maps.color * 0.5 + 0.25 + torch.tensor([0.05, 0.0, -0.05])[:, None, None]
+    found = agreeing(maps, torch.where(known > 0, maps.color * 0.9, images))
+    assert torch.equal(found.known()[0], known) and torch.equal(found.depth, maps.depth)
+    off = F.avg_pool2d((found.color - maps.color * 0.9) * known, 32).abs().mean()
+    assert off < 0.2 * F.avg_pool2d(0.1 * maps.color * known, 32).abs().mean()
+    # A difference that is the same everywhere is gone.
+    lowered = maps._replace(color=shifted.clamp(0.05, 0.95) * known)
+    found = agreeing(lowered, lowered.color + 0.03)
+    assert (found.color - (lowered.color + 0.03) * known).abs().max() < 1e-6
 
 
 def test_the_target_is_the_answer_that_recovers_clean_latents() -> None:

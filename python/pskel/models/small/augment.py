@@ -85,6 +85,18 @@ def augmented(maps: Maps, images: Tensor, action: Tensor, views: int, share: flo
     return Maps(color, depth, boxes, map, cameras), images, turned
 
 
+def agreeing(maps: Maps, images: Tensor) -> Maps:
+    """Return maps whose known colors have the means of the images in blocks of 32x32 pixels, about.
+
+    A network that sees such windows does not learn how points and images of these logs differ, as by reflections and exposure.
+    """
+    known = maps.known()[0]
+    count = F.avg_pool2d(known, BLOCK)
+    means = F.avg_pool2d((images - maps.color) * known, BLOCK) / count.clamp(min=1e-6)
+    off = F.interpolate(means, scale_factor=BLOCK, mode="bilinear", align_corners=False)
+    return maps._replace(color=(maps.color + off).clamp(1 / 255, 1) * known)
+
+
 def _mirrored(images: Tensor, views: int) -> Tensor:
     return images.flip(-1).reshape(-1, views, *images.shape[1:]).flip(1).reshape(images.shape)
 

@@ -10,7 +10,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from .augment import Dice, augmented, erring
+from .augment import Dice, agreeing, augmented, erring
 from .config import CELL, TOKEN
 from .inputs import NO_ACTION, NO_COLOR, Maps, cells, ego_numbers, full_planes, token_rays, work_planes
 from .levels import SIGMA_MIN
@@ -37,6 +37,8 @@ class DrawOptions:
     """Share of the other windows that begin with some finished frames."""
     augment: float = 0.9
     """Share of windows whose colors, exposures, points and sides are changed."""
+    agreement: float = 0.0
+    """Share of windows whose points have the mean colors of the images, for networks that are used on other data sets."""
     errors: float = 0.8
     """Share of windows whose frames have errors like generated ones, so that the network does not trust earlier frames more than
     conditions."""
@@ -138,6 +140,8 @@ def draw_batch(windows: Sequence[Frames], statistics: Statistics, options: DrawO
     for number, window in enumerate(windows):
         length = len(window.action)
         views = len(window.images) // length
+        if options.agreement > 0 and dice.unit() < options.agreement:
+            window = window._replace(maps=agreeing(window.maps, window.images))
         maps, images, action = augmented(*window, views, options.augment, dice)
         maps, _, action = _dropped(Frames(maps, images, action), options, dice)
         finished, sigmas = draw_levels(options, length, dice)
