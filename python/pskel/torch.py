@@ -21,13 +21,11 @@ try:
 except ImportError as error:
     raise ImportError("pskel.torch needs PyTorch: pip install 'pskel[torch]'") from error
 
-from . import Log, Renderer, Scene, Skeleton
+from . import Captions, Error, Log, Renderer, Scene, Skeleton
 from ._types import RenderKeywords, check_names
-from .train.data.captions import Caption, CaptionOf, Captions, captions_of, captions_of_log, read_captions
 from .train.data.logs import mounted_cameras
 from .train.data.numbers import camera_numbers, ego_motion
 from .train.data.reader import frames_apart, is_steady
-from .train.errors import DataError
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
@@ -35,6 +33,8 @@ if TYPE_CHECKING:
 __all__ = ["Clip", "ClipSource", "ConditionDataset", "ConditionStream"]
 
 Augment = Callable[[Scene, np.random.Generator], Scene]
+CaptionOf = Callable[[str, int, str], str]
+"""Caption of a log, a frame by its number in the log, and a camera by its channel."""
 
 
 class ClipSource(NamedTuple):
@@ -70,7 +70,7 @@ class _Clips:
         hz: float | None = None,
         images: bool = True,
         numbers: bool = False,
-        captions: CaptionOf | Captions | str | os.PathLike[str] | None = None,
+        captions: CaptionOf | str | os.PathLike[str] | None = None,
         augment: Augment | None = None,
         augment_assets: int | None = None,
         seed: int = 0,
@@ -104,9 +104,14 @@ class _Clips:
         self._options = renderer
         self._opened: OrderedDict[int, _Opened] = OrderedDict()
         self._process = os.getpid()
-        logs = [_name_and_times(source) for source in self.sources]
-        times = [np.array(times_us, np.int64) for _, times_us in logs]
-        self._captions = _of_logs(captions, self.sources, [name for name, _ in logs])
+        self._caption_of = captions if callable(captions) else None
+        of_file = None if captions is None or callable(captions) else _captions(captions)
+        times, texts = [], []
+        for source in self.sources:
+            log = _checked(source)
+            times.append(np.array(log.times_us, np.int64))
+            texts.append(None if of_file is None else of_file.of(log))
+        self._captions = None if of_file is None else texts
         self._every = [
             every or 1 if hz is None else _every(all_us, hz, source.log) for source, all_us in zip(self.sources, times)
         ]
@@ -174,11 +179,12 @@ class _Clips:
             item["action"] = np.stack([ego_motion(a, b) for a, b in zip(poses, poses[1:]) if b is not None])
             item["cameras"] = np.stack([_numbers(log, frame, scene) for frame, scene in zip(frames, scenes)])
         tensors: dict[str, Any] = {name: torch.from_numpy(array) for name, array in item.items()}
-        if self._captions is not None:
-            captions, names, times_us = self._captions[source], scenes[0].cameras, log.times_us
-            tensors["captions"] = [
-                list(captions_of(captions, log.name, frame, times_us[frame], names)) for frame in frames
-            ]
+        cameras = scenes[0].cameras
+        if self._caption_of is not None:
+            tensors["captions"] = [[self._caption_of(log.name, frame, name) for name in cameras] for frame in frames]
+        elif self._captions is not None:
+            texts = self._captions[source]
+            tensors["captions"] = [[""] * len(cameras) if texts is None else texts[frame] for frame in frames]
         return tensors
 
     def _augmented(self, scene: Scene, index: int) -> Scene:
@@ -191,25 +197,19 @@ class _Clips:
         return {**self.__dict__, "_opened": OrderedDict()}
 
 
-def _name_and_times(source: ClipSource) -> tuple[str, list[int]]:
-    """Return the name of a log, which the skeleton must contain, and the times of its key frames, microseconds."""
+def _checked(source: ClipSource) -> Log:
+    """Open a log, which the skeleton must contain."""
     log, skeleton = Log(source.log), Skeleton(source.skeleton)
     if log.name not in skeleton.logs:
         found = ", ".join(skeleton.logs)
         raise ValueError(f"expected a skeleton of log {log.name}, found one of {found}: {source.skeleton}")
-    return log.name, log.times_us
+    return log
 
 
-def _of_logs(
-    captions: CaptionOf | Captions | str | os.PathLike[str] | None, sources: Sequence[ClipSource], names: Sequence[str]
-) -> list[CaptionOf | dict[str, Caption]] | None:
-    """Return the captions of each log: files are large, and a worker needs a few."""
-    if captions is None or callable(captions):
-        return None if captions is None else [captions] * len(names)
+def _captions(path: str | os.PathLike[str]) -> Captions:
     try:
-        every = read_captions(captions) if isinstance(captions, (str, os.PathLike)) else captions
-        return [captions_of_log(every, source.log, name) for source, name in zip(sources, names)]
-    except DataError as error:
+        return Captions(path)
+    except Error as error:
         raise ValueError(str(error)) from error
 
 
@@ -256,10 +256,9 @@ class ConditionDataset(_Clips, Dataset[dict[str, Any]]):
     - with ``numbers=True``, ``cameras`` ``float32 [T, V, 16]``: the upper three rows of the mounted ``ego_from_camera``
       (m), then fx/W, fy/H, cx/W, cy/H; and ``action`` ``float32 [T, 3]``: forward, left (m) and yaw (rad) since the
       previous frame of the same spacing, also that before the clip; zeros without one,
-    - with ``captions``, ``captions``: a list of T lists of V texts. ``captions`` is a function of log name, frame
-      number and camera; a mapping from log names to a text, texts of frames, or lists of texts per frame, in the order
-      of the cameras; or a JSON file of such a mapping, of the captions that OpenDWM publishes for nuScenes, or of those
-      of *Point as Skeleton* for nuPlan. Logs without one have empty texts.
+    - with ``captions``, ``captions``: a list of T lists of V texts. ``captions`` is a JSON file for ``pskel.Captions``,
+      such as those that OpenDWM publishes for nuScenes, and *Point as Skeleton* for nuPlan; or a function of log name,
+      frame number and camera. Logs without one have empty texts.
 
     Clips begin every ``stride`` key frames. Their frames are consecutive key frames, every ``every``-th one, or key
     frames at the rate ``hz``, which must divide the key frame rate. With ``hz``, clips across gaps of the log are

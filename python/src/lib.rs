@@ -8,6 +8,7 @@
 //! uses the crate of the command.
 
 mod build;
+mod captions;
 mod command;
 mod error;
 mod export;
@@ -35,6 +36,8 @@ static ALLOCATOR: MiMalloc = MiMalloc;
 mod _pskel {
     #[pymodule_export]
     use crate::build::build;
+    #[pymodule_export]
+    use crate::captions::Captions;
     #[pymodule_export]
     use crate::command::run_command;
     #[pymodule_export]

@@ -96,7 +96,7 @@ class DataOptions:
     recipe: Mapping[str, Any] | None = None
     """How maps are rendered: keys of the denoiser protocol, whose defaults fill missing ones."""
     captions: str | None = None
-    """JSON file of captions by name of a log."""
+    """JSON file of captions of logs that are rendered."""
     skeletons: str | None = None
     """Folder of skeletons of logs that are rendered, each named after its log; missing ones are built."""
     cache: str | None = None

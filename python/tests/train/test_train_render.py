@@ -115,6 +115,29 @@ def test_recordings_have_the_bytes_of_rendering(skeletons: Path, tmp_path: Path,
         )
 
 
+def test_recordings_have_captions(skeletons: Path, log: pskel.Log, tmp_path: Path, cpu: dict[str, Any]) -> None:
+    options = {"frames": 2, "cache": str(tmp_path / "cache"), "skeletons": str(skeletons), **cpu}
+    files = {"rain": {log.name: "Rain"}, "sun": {log.name: "Sun"}, "other": {"other": "Sun"}, "wrong": []}
+    for name, content in files.items():
+        (tmp_path / name).write_text(json.dumps(content))
+
+    def said(name: str, **changed: Any) -> tuple[Data, list[str]]:
+        texts: list[str] = []
+        chosen = DataOptions(**{**options, **changed}, captions=str(tmp_path / name))
+        return open_data([LOG], chosen, RECIPE, Processes(), texts.append), texts
+
+    data, texts = said("rain")
+    assert data.train[0].clip(1).captions == (("Rain",) * 6,) * 2 and "captions" not in " ".join(texts)
+    with pytest.raises(DataError, match="a recording of this skeleton, recipe and captions, found another one"):
+        said("sun")
+    for changed in ({"cache": None}, {"cache": str(tmp_path / "again")}):
+        data, texts = said("other", **changed)
+        assert texts[-1] == f"{tmp_path / 'other'}: no captions of 1 logs, such as {log.name}; theirs are empty"
+        assert data.train[0].clip(1).captions == (("",) * 6,) * 2
+    with pytest.raises(DataError, match="expected .*, found an array.*: .*wrong"):
+        said("wrong", skeletons=str(tmp_path / "not built"))
+
+
 def test_a_moved_ego_sees_its_own_images(skeletons: Path, log: pskel.Log, cpu: dict[str, Any]) -> None:
     data = opened(LOG, frames=2, variants=3, augment=False, skeletons=str(skeletons), **cpu)
     first, second = data.train[0].reader, data.train[1].reader
@@ -262,9 +285,6 @@ def test_datasets_have_numbers_and_captions(sources: list[tuple[str, str]], log:
     k = log[0].intrinsics[0]
     shares = [k[0, 0] / 200, k[1, 1] / 113, k[0, 2] / 200, k[1, 2] / 113]
     np.testing.assert_allclose(first["cameras"][0, 0, 12:], shares, rtol=1e-6)
-    texts = {log.name: [f"frame {frame}" for frame in range(5)]}
-    by_frame = ConditionDataset(sources, captions=texts, **options)[1]
-    assert by_frame["captions"] == [["frame 1"] * 6, ["frame 3"] * 6]
     assert set(ConditionDataset(sources, **options)[0]) == set(item) - {"cameras", "action", "captions"}
 
 
@@ -282,11 +302,11 @@ def test_datasets_with_workers_and_degraded_assets(sources: list[tuple[str, str]
     from torch.utils.data import DataLoader
 
     options: Any = {"out_size": (28, 50), "images": False, "rasterizer": "cpu", "numbers": True}
-    dataset = ConditionDataset(sources, captions={}, augment_assets=5, **options)
+    dataset = ConditionDataset(sources, captions=captions, augment_assets=5, **options)
     one: Any = DataLoader(dataset, batch_size=None)
     two: Any = DataLoader(dataset, batch_size=None, num_workers=2, multiprocessing_context="spawn")
     for a, b in zip(one, two, strict=True):
-        assert a["captions"] == b["captions"] == [[""] * 6]
+        assert a["captions"] == b["captions"] and a["captions"][0][0].endswith("CAM_FRONT")
         assert all(torch.equal(a[name], b[name]) for name in ("points", "cameras", "action"))
     whole = ConditionDataset(sources, **options)
     assert any(not torch.equal(whole[i]["points"], dataset[i]["points"]) for i in range(len(whole)))

@@ -13,7 +13,7 @@ import numpy.typing as npt
 import torch
 
 from ..errors import DataError, first_line
-from .captions import Caption, captions_of
+from .captions import read_captions
 from .images import reduced, rgb_tensor
 from .numbers import camera_numbers, ego_motion
 from .reader import FrameReader, Frames
@@ -92,12 +92,12 @@ class Opened(NamedTuple):
 class LogReader(FrameReader):
     """The key frames of a log. A subclass has the maps."""
 
-    def __init__(self, text: str, recipe: Mapping[str, Any], captions: Mapping[str, Caption]) -> None:
-        """Open a log, with the captions that ``captions_of_log`` returns."""
+    def __init__(self, text: str, recipe: Mapping[str, Any], captions: str | None) -> None:
+        """Open a log, with the captions of a file."""
         self.text = self.source = text
         self.recipe = recipe
-        self._captions = captions
         log = self.opened_log()
+        self.captions = None if captions is None else read_captions(captions).of(log)
         self.log = log.name
         if not len(log):
             raise DataError(f"expected a log with frames, found none: {text}")
@@ -137,7 +137,6 @@ class LogReader(FrameReader):
             return rgb_tensor([row[index] for row in rows])
 
         assert self.times_us is not None
-        captions = [self.captions(frame) for frame in frames]
         return Frames(
             color=rgb(0),
             bins=torch.from_numpy(np.stack([row[1] for row in rows])),
@@ -148,7 +147,7 @@ class LogReader(FrameReader):
             global_from_ego=np.stack([self.scene(log, frame).ego for frame in frames]),
             t_us=self.times_us[list(frames)],
             original_sizes=self._sizes[list(views)],
-            captions=tuple(tuple(row[view] for view in views) for row in captions),
+            captions=self.captions_of(frames, views),
         )
 
     def _frame(self, log: pskel.Log, frame: int, views: list[int]) -> tuple[Array, ...]:
@@ -157,14 +156,6 @@ class LogReader(FrameReader):
         images = log_images(log, scene, self.recipe, town=is_town(self.text))
         numbers = camera_numbers(mounted_cameras(log, frame), scene.intrinsics, np.array(scene.sizes))
         return tuple(array[views] for array in (*maps, images, numbers))
-
-    def captions(self, frame: int) -> tuple[str, ...]:
-        """Return the captions of all cameras at a frame."""
-        assert self.times_us is not None
-        try:
-            return captions_of(self._captions, self.log, frame, int(self.times_us[frame]), self.names)
-        except ValueError as error:
-            raise DataError(str(error)) from None
 
     def motion(self, before: int, after: int) -> npt.NDArray[np.float32]:
         """Return the motion of the ego poses."""

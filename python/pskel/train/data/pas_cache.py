@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..errors import DataError
-from .captions import Caption
 from .exports import export_options
 from .images import gray16_of, rgb_of
 from .logs import LogMaps, LogReader
@@ -44,7 +43,7 @@ class PasCacheReader(LogReader):
     """A log whose maps are read from a cache; nothing is rendered but images of a town."""
 
     def __init__(
-        self, text: str, folder: str | os.PathLike[str], recipe: Mapping[str, Any], captions: Mapping[str, Caption]
+        self, text: str, folder: str | os.PathLike[str], recipe: Mapping[str, Any], captions: str | None
     ) -> None:
         super().__init__(text, recipe, captions)
         self.folder = Path(folder)

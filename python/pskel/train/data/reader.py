@@ -59,6 +59,8 @@ class FrameReader(ABC):
     recipe: Mapping[str, Any]
     times_us: npt.NDArray[np.int64] | None = None
     """Times of all frames, if they are known before reading."""
+    captions: Sequence[Sequence[str]] | None = None
+    """Captions of all frames and cameras; ``None`` without any, and if they are read with their frames."""
 
     @abstractmethod
     def read(self, frames: Sequence[int], views: Sequence[int]) -> Frames:
@@ -67,6 +69,11 @@ class FrameReader(ABC):
     @abstractmethod
     def motion(self, before: int, after: int) -> npt.NDArray[np.float32]:
         """Return the ego motion ``[3]`` from one frame to another, see ``Clip.action``."""
+
+    def captions_of(self, frames: Sequence[int], views: Sequence[int]) -> tuple[tuple[str, ...], ...]:
+        """Return the captions of frames and cameras; empty texts without."""
+        texts = self.captions
+        return tuple(tuple("" if texts is None else texts[frame][view] for view in views) for frame in frames)
 
     @property
     def label(self) -> str:

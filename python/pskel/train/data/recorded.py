@@ -63,7 +63,7 @@ class RecordedReader(FrameReader):
         except (KeyError, TypeError, ValueError, AttributeError) as error:
             raise self._wrong(f"an invalid header ({first_line(error)})") from None
         self.runs = [range(*run) for run in more.get("runs", [[0, frames]])]
-        self._captions: list[list[str]] | None = more.get("captions")
+        self.captions = more.get("captions")
         self._action = self._all("action")
         if "t_us" in header:
             self.times_us = self._all("t_us")
@@ -140,7 +140,6 @@ class RecordedReader(FrameReader):
         if int(bins.max(initial=0)) > self.recipe["bins"]["count"]:
             raise self._wrong(f"bin {int(bins.max())} of {self.recipe['bins']['count']}")
         assert self.times_us is not None
-        captions = self._captions
         return Frames(
             color=color,
             bins=torch.from_numpy(bins.astype(np.int16)),
@@ -151,7 +150,7 @@ class RecordedReader(FrameReader):
             global_from_ego=self._poses[list(frames)],
             t_us=self.times_us[list(frames)],
             original_sizes=self._sizes[list(views)],
-            captions=tuple(tuple("" if captions is None else captions[f][v] for v in views) for f in frames),
+            captions=self.captions_of(frames, views),
         )
 
     def motion(self, before: int, after: int) -> npt.NDArray[np.float32]:

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..errors import DataError, first_line
-from .captions import Caption
+from .captions import content_of
 from .logs import LogMaps, LogReader, Opened
 from .recipe import depth_bins, renderer_keywords
 from .recorded import Recorder
@@ -72,8 +72,8 @@ class RenderedSource:
     skeleton: Path
     recipe: Mapping[str, Any]
     change: Variant = field(default_factory=Variant)
-    captions: Mapping[str, Caption] = field(default_factory=dict)
-    """As ``captions_of_log`` returns them."""
+    captions: str | None = None
+    """File of captions."""
     rasterizer: str = "auto"
 
     def key(self) -> str:
@@ -85,7 +85,8 @@ class RenderedSource:
         """Return a digest of everything that a recording depends on, but the pixels of recorded images."""
         skeleton = self.skeleton / "skeleton.json"
         content = skeleton.read_bytes() if skeleton.is_file() else b""
-        text = json.dumps((self.recipe, asdict(self.change), self.captions), sort_keys=True)
+        captions = {} if self.captions is None else {"content": content_of(self.captions)}
+        text = json.dumps((self.recipe, asdict(self.change), captions), sort_keys=True)
         return hashlib.sha256(text.encode() + content).hexdigest()[:32]
 
 
@@ -192,7 +193,7 @@ def record(source: RenderedSource, path: Path) -> None:
     clip = {
         "variant": reader.variant,
         "identity": identity,
-        "captions": [list(reader.captions(frame)) for frame in frames],
+        "captions": reader.captions,
     }
     try:
         with Recorder(path, about, clip, len(frames)) as recorder:

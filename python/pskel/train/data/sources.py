@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 from ..config import DataOptions
 from ..errors import ConfigError, DataError, first_line
 from ..parallel import Processes
-from .captions import Captions, captions_of_log, read_captions
+from .captions import read_captions
 from .exports import export_options
 from .jobs import Say, in_rounds
 from .logs import is_town
@@ -56,14 +56,13 @@ def open_data(
         raise ConfigError("expected --data: a log, an export of pskel export, or recorded clips")
     with processes.agreed():
         wanted = None if recipe is None else complete(recipe)
-        captions = read_captions(options.captions)
         stored = [_stored(spec) for spec in specs]
     by_spec: list[Sequence[FrameReader]] = []
     for spec, readers in zip(specs, stored):
         if readers is None:
             with processes.agreed():
                 wanted = wanted or _recipe_of_logs(spec, options)
-            readers = _logs(spec, options, wanted, captions, processes, say)
+            readers = _logs(spec, options, wanted, processes, say)
         by_spec.append(readers)
         with processes.agreed():
             wanted = _same_recipe(readers, wanted, say)
@@ -116,19 +115,29 @@ def _recipe_of_logs(spec: str, options: DataOptions) -> dict[str, Any]:
 
 
 def _logs(
-    spec: str, options: DataOptions, recipe: dict[str, Any], captions: Captions, processes: Processes, say: Say
-) -> list[FrameReader]:
+    spec: str, options: DataOptions, recipe: dict[str, Any], processes: Processes, say: Say
+) -> Sequence[FrameReader]:
+    """Open logs, and say which ones have no captions if there is a file of them."""
+    readers = _opened(spec, options, recipe, processes, say)
+    without = [each.log for each in readers if each.variant == 0 and each.captions is None]
+    if options.captions is not None and without:
+        say(f"{options.captions}: no captions of {len(without)} logs, such as {without[0]}; theirs are empty")
+    return readers
+
+
+def _opened(
+    spec: str, options: DataOptions, recipe: dict[str, Any], processes: Processes, say: Say
+) -> Sequence[FrameReader]:
     """Open logs. Skeletons are built and clips are recorded in rounds: each process does one, then all go on."""
     with processes.agreed():
         listed = list(_listed(spec))
-        of_logs = {log.text: captions_of_log(captions, log.text, log.name) for log in listed}
-        if captions and (without := [log.name for log in listed if not of_logs[log.text]]):
-            say(f"{options.captions}: no captions of {len(without)} logs, such as {without[0]}; theirs are empty")
+        if options.captions is not None:
+            read_captions(options.captions)  # before anything that takes long
         if options.pas_cache is not None:
             folder = Path(options.pas_cache)
             if (text := difference(recipe, recipe_of_cache(folder))) is not None:
                 raise DataError(f"{text}: {folder}")
-            return [PasCacheReader(log.text, folder, recipe, of_logs[log.text]) for log in listed]
+            return [PasCacheReader(log.text, folder, recipe, options.captions) for log in listed]
         skeletons = options.skeletons or (None if options.cache is None else f"{options.cache}/skeletons")
         if skeletons is None:
             raise ConfigError(f"expected data.skeletons or data.cache, folders for rendering logs, found none: {spec}")
@@ -142,7 +151,7 @@ def _logs(
             folder / log.name,
             recipe,
             Variant.create(log.name, number, town=is_town(log.text), augment=options.augment),
-            of_logs[log.text],
+            options.captions,
             options.rasterizer,
         )
         for log in listed
