@@ -85,7 +85,7 @@ def _same_recipe(readers: Sequence[FrameReader], wanted: dict[str, Any] | None, 
     return wanted
 
 
-def _stored(spec: str) -> list[FrameReader] | None:
+def _stored(spec: str) -> Sequence[FrameReader] | None:
     """Open recordings or shards; ``None`` if the text is a log."""
     path = Path(spec)
     if path.suffix == ".safetensors":
