@@ -26,7 +26,8 @@ pub(crate) struct Captions(CaptionFile);
 impl Captions {
     #[new]
     fn new(py: Python<'_>, path: PathBuf) -> PyResult<Self> {
-        let read = || CaptionFile::read(&path).map_err(|error| Error::new_err(with_causes(&error).to_string()));
+        let read =
+            || CaptionFile::read(&path).map_err(|error| Error::new_err(with_causes(&error).to_string()));
         detached(py, read).map(Self)
     }
 
