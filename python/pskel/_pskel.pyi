@@ -15,6 +15,7 @@ __all__ = [
     "Actor",
     "BuildError",
     "Camera",
+    "Captions",
     "Committed",
     "Error",
     "Export",
