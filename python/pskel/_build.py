@@ -96,7 +96,7 @@ def build(
         NPY or PLY files of templates by kind of actor (sedan, suv, pickup, pedestrian, bike, truck, bus, trailer,
         construction): points with x forward and z up.
     templates : bool
-        Create templates from the log's own actors; those of ``template`` take precedence.
+        Create templates from the log's own actors; ``template`` takes precedence.
     templates_from : path, optional
         Folder of ``pskel templates``, used for kinds that have no template yet.
     resume : bool

@@ -113,7 +113,7 @@ def export(
     skeletons : path
         Folder of skeletons, one per log and named after it; those that do not exist are built.
     only : (I, N), optional
-        Write only part I (counted from 0) of N parts of the list of shards.
+        Write only part I (counted from 0) of N parts of the shard list.
     jobs : int
         Number of logs that are exported at a time, each with a device of its own, 1 to 64.
     shard_frames : int

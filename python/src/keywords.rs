@@ -3,7 +3,7 @@
 //! # How it works
 //! The functions of the package that have many keyword arguments are written in Python, with types, defaults
 //! and documentation. They pass their arguments by name, and [`Keywords`] reads them. Names and defaults are
-//! those of the command's options.
+//! as in the command's options.
 
 use std::path::PathBuf;
 
@@ -140,7 +140,7 @@ impl<'py> Keywords<'_, 'py> {
         })
     }
 
-    /// Returns the options for rendering maps: by default those of every log, and the map layout.
+    /// Returns the options for rendering maps: by default as for every log, and the map layout.
     pub(crate) fn conditions(self) -> PyResult<ConditionOptions> {
         let is_distance = ConditionOptions::is_distance_m;
         let radius_m = self.number("radius", "above 0 m", is_distance)?.unwrap_or(100.0);

@@ -72,7 +72,7 @@ impl AsRef<Self> for ChunkedCloud<'_> {
     }
 }
 
-/// A cloud in the order of its chunks, which is its own, unless that of points in memory is not in space:
+/// A cloud in the order of its chunks, which is its own, unless points in memory are not sorted in space:
 /// chunks of points that are near each other can be culled. Bounds exclude points with non-finite positions,
 /// which are never drawn.
 pub(super) struct ChunkedCloud<'a> {

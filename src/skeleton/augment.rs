@@ -129,7 +129,7 @@ fn one_a_voxel(points: &[Point], voxel_m: f64) -> Vec<usize> {
     first.into_values().collect::<BTreeSet<_>>().into_iter().collect()
 }
 
-/// Camera with 1024x768 pixels and a horizontal field of view of 90 degrees, `RADII_AWAY` asset radii from
+/// Camera with 1024x768 pixels and a 90 degree horizontal field of view, `RADII_AWAY` asset radii from
 /// the asset's center and level with it.
 const WIDTH: u32 = 1024;
 const HEIGHT: u32 = 768;

@@ -23,7 +23,7 @@ use super::{FilledColor, Network, NetworkConfig, NetworkError, Provenance, Weigh
 /// Memory of weights and of the kernels' buffers, whatever the size of the images.
 const NETWORK_BYTES: u64 = 64 << 20;
 
-/// Bytes of the maps of a pixel: color, depth bin, boxes, HD map.
+/// Bytes per pixel of all maps: color, depth bin, boxes, HD map.
 const MAP_BYTES: usize = 3 + 2 + 3 + 3;
 
 /// Default window of a network process, frames.
@@ -59,7 +59,7 @@ pub struct GeneratorSettings {
     /// Seed of the noise.
     pub noise_seed: u64,
     /// Conditions of a network process and of `fill`; other networks have their own. `None` for the default
-    /// recipe of processes, and for that of the shipped network with `fill`.
+    /// recipe: of processes, or with `fill` of the shipped network.
     pub recipe: Option<Recipe>,
     /// Time-out for each answer of a network process, seconds.
     pub timeout_s: f64,

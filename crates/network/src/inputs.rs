@@ -100,7 +100,7 @@ pub(crate) fn work_inputs(config: &NetworkConfig, frame: &FrameConditions) -> Wo
     }
 }
 
-/// Returns the inputs of the decoder of a frame that was [checked](check).
+/// Returns the decoder's inputs for a frame that was [checked](check).
 pub(crate) fn full_inputs(config: &NetworkConfig, frame: &FrameConditions) -> FullInputs {
     let ([height, width], views) = (config.divided(2), frame.views());
     let all: Vec<(Vec<f32>, Vec<[f32; 3]>)> =
@@ -190,7 +190,7 @@ fn work_planes(maps: &Maps<'_>, [height, width]: [usize; 2]) -> Vec<f32> {
 }
 
 /// Returns the means of known pixels over 4x4 pixels, with holes filled after that, and the share of pixels
-/// that are known; `width` is that of the reduced image.
+/// that are known; the reduced image has this `width`.
 fn reduced<const C: usize>(values: &[[f32; C]], known: &[bool], width: usize) -> (Vec<[f32; C]>, Vec<f32>) {
     let count = values.len() / (WORK * WORK);
     let (mut means, mut counts) = (vec![[0.0_f32; C]; count], vec![0_u8; count]);
@@ -223,7 +223,7 @@ fn cells(planes: &[f32], width: usize) -> Vec<f32> {
     means(&colors, width, CELL / WORK)
 }
 
-/// Returns the mean colors of squares of `side` pixels, row by row, `[h w, 3]`.
+/// Returns the mean colors of `side`x`side` pixels, row by row, `[h w, 3]`.
 pub(super) fn means(pixels: &[[f32; 3]], width: usize, side: usize) -> Vec<f32> {
     let (down, across) = (pixels.len() / width / side, width / side);
     let mut means = vec![0.0; down * across * LATENT_CHANNELS];

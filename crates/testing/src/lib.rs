@@ -1,6 +1,6 @@
 //! What the tests of several crates share: synthetic logs, locations of recordings, and comparators.
 //!
-//! It has no tests of its own but those of its comparators, and is never a dependency outside of tests.
+//! Only its comparators have tests of their own, and it is never a dependency outside of tests.
 //! Whatever needs a layer above the core has a feature, so that the core's tests compile no layer.
 #![allow(clippy::unwrap_used, clippy::print_stderr, missing_docs)]
 

@@ -1,7 +1,7 @@
 """Rollouts with driving policies of AlpaSim: ``python -m pskel.egodriver LOG --skeleton SK --driver HOST:PORT --out DIR --steps N``.
 
 The closed loop of ``pskel simulate`` is the runtime, a server of ``egodriver.EgodriverService`` is the policy. This package is a
-planner of docs/src/reference/planner.md that translates between both, so metrics, video, page and ``--resume`` are those of every rollout.
+planner of docs/src/reference/planner.md that translates between both, so metrics, video, page and ``--resume`` are as in every rollout.
 It needs the extra ``alpasim`` (grpcio and protobuf); JPEG images need Pillow.
 
 Frames: "local" is the global frame of the log, moved so that its origin is near the start of the rollout, because messages have

@@ -1,4 +1,4 @@
-"""Planner of docs/src/reference/planner.md whose plans are those of a driver."""
+"""Planner of docs/src/reference/planner.md whose plans come from a driver."""
 
 from __future__ import annotations
 

@@ -1,12 +1,12 @@
 """AdamW with moments of 8 bits, and weights in single precision for parameters in half precision.
 
 *8-bit Optimizers via Block-wise Quantization* (arXiv:2110.02861): blocks of 256 numbers share a scale, and the levels
-are those of the paper's dynamic map. Rounding to the nearest level would stop second moments: with beta 0.999 a step
+follow the paper's dynamic map. Rounding to the nearest level would stop second moments: with beta 0.999 a step
 changes them by less than the distance of two levels. Here a number takes one of its two neighbors, so that the mean
 is right. Which one depends on step and place alone: a training repeats bit by bit.
 
 torchao's optimizer, the alternative, rounds to the nearest level, compiles its step on first use, and saves tensors
-of a class of its own, which a process that has not imported torchao cannot read.
+in its own class, which a process that has not imported torchao cannot read.
 """
 
 from __future__ import annotations

@@ -19,7 +19,7 @@ def expect_folder(
 ) -> Path:
     """Check that the files to read are there; returns the folder.
 
-    ``files`` are pairs of a sub-folder and of patterns; of each tuple of patterns one file must be there. Raises
+    ``files`` are pairs of a sub-folder and of patterns; each tuple of patterns must match one file. Raises
     ``ValueError``, which names the first missing file, and the folder. ``title`` is the model's name.
     """
     root = Path(base)

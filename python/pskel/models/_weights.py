@@ -1,4 +1,4 @@
-"""Tensors of checkpoints: comparison with those of a network, and LoRA matrices."""
+"""Tensors of checkpoints: comparison with a network, and LoRA matrices."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def is_lora(name: str) -> bool:
 
 
 def saved_name(name: str) -> str:
-    """Return the name in a file of a parameter of a network with LoRA matrices."""
+    """Return a parameter's name in a file, for a network with LoRA matrices."""
     return name.replace(f".{_ADAPTER}.", ".") if is_lora(name) else name.replace(".base_layer.", ".")
 
 
@@ -67,7 +67,7 @@ def lora_tensors(module: nn.Module, rank: int, pattern: str, prefix: str = "") -
 
 
 def merge_lora(weights: Mapping[str, Tensor], matrices: Mapping[str, Tensor]) -> None:
-    """Add the product of each pair of LoRA ``matrices``, by names of a file, to the weight of its layer, in place."""
+    """Add the product of each pair of LoRA ``matrices``, which are named as in a file, to the weight of its layer, in place."""
     for name, first in matrices.items():
         if name.endswith(_LORA_A):
             layer = name.removesuffix(_LORA_A)

@@ -205,7 +205,7 @@ def read_state(path: Path, processes: Processes, *, sharded: bool) -> dict[str, 
 
 @torch.no_grad()
 def load_modules(modules: Mapping[str, nn.Module], state: Mapping[str, Any], *, buffers_only: bool = False) -> None:
-    """Restore parameters and buffers. Raises ``CheckpointError`` for those of another module."""
+    """Restore parameters and buffers. Raises ``CheckpointError`` if they are of another module."""
     for name, module in modules.items():
         saved, present = state["modules"].get(name, {}), module.state_dict()
         if saved.keys() != present.keys():

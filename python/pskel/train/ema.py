@@ -1,4 +1,4 @@
-"""Exponential moving average of the weights of a module."""
+"""Exponential moving average of a module's weights."""
 
 from __future__ import annotations
 

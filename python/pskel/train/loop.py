@@ -60,7 +60,7 @@ def train(config: Config, data: Sequence[str], out: Path, *, resume: bool = Fals
 
 
 def _claim(out: Path, processes: Processes, *, resume: bool) -> BinaryIO | None:
-    """Claim the output folder in the main process; a failure is that of all."""
+    """Claim the output folder in the main process; a failure ends all."""
     lock = None
     with processes.agreed():
         if processes.is_main:

@@ -87,7 +87,7 @@ def create_optimizer(
 
 
 def set_rates(optimizer: torch.optim.Optimizer, options: TrainOptions, step: int) -> float:
-    """Set the learning rates of a step; returns that of the first group."""
+    """Set the learning rates of a step; returns the first group's."""
     for group in optimizer.param_groups:
         value = group["base_lr"] * (1.0 if group["is_constant"] else rate(options, step))
         if isinstance(group["lr"], Tensor):
@@ -98,7 +98,7 @@ def set_rates(optimizer: torch.optim.Optimizer, options: TrainOptions, step: int
 
 
 def clip_gradients(module: nn.Module, most: float) -> float:
-    """Limit the norm of all gradients of a module to ``most`` (0: no limit); returns the norm before."""
+    """Limit the norm of a module's gradients, taken together, to ``most`` (0: no limit); returns the norm before."""
     parameters = [parameter for parameter in module.parameters() if parameter.grad is not None]
     if not parameters:
         return 0.0

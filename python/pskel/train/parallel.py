@@ -81,7 +81,7 @@ class Processes:
             raise failures[0]
 
     def share(self, tensors: Iterable[Tensor]) -> None:
-        """Overwrite tensors with those of the main process."""
+        """Overwrite tensors with the main process's."""
         if self.count > 1:
             with lost_processes():
                 for tensor in tensors:

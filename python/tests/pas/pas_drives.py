@@ -120,5 +120,5 @@ def fit_codec(base: Path, of: Drive, steps: int) -> None:
 
 
 def psnr(found: Array, expected: Array) -> float:
-    """Peak signal-to-noise ratio of images of 0 to 1, dB."""
+    """Peak signal-to-noise ratio of images, 0 to 1, in dB."""
     return float(-10.0 * np.log10(np.square(np.asarray(found) - np.asarray(expected)).mean()))

@@ -55,7 +55,7 @@ def read_meta() -> dict[str, Any]:
 
 
 def read_case(name: str) -> Case:
-    """Read a case; those of dropouts have the batch of nuScenes."""
+    """Read a case; cases of dropouts have the batch of nuScenes."""
     meta = read_meta()["cases"][name]
     file, _, part = name.partition(".")
     tensors = load_file(STEPS / f"{file}.safetensors")

@@ -52,7 +52,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Drive]:
 
 
 def train(folder: Path, out: Path, *more: str, **options: Any) -> None:
-    """Run the command; ``options`` are those of ``[train]``."""
+    """Run the command; ``options`` go into ``[train]``."""
     document = {
         "network": "pas",
         "train": {"learning_rate": 2e-3, "validate": 0, **options},
@@ -113,7 +113,7 @@ def test_a_drive_is_overfitted_and_driven(recorded: tuple[Path, Drive], tmp_path
 
 
 def loss_in(of: PasTask, folder: Path, *, step: int, number: int, seed: int) -> float:
-    """Loss of a clip of the training, by number, with the draws of a step."""
+    """Loss of a training clip, by number, with the draws of a step."""
     data = open_data([str(folder / "drive.safetensors")], DataOptions(frames=WINDOW), None, Processes(), print)
     drawn = of.draw([Sampler(data.train, data.shares, 0).draw(number).clip], step, seed, 0)
     of.network.train()
@@ -140,7 +140,7 @@ def roll(of: PasTask, folder: Path, along: Drive) -> list[Array]:
 
 @pytest.mark.parametrize("precision", ["f32", "bf16"])
 def test_8_bit_moments_resume_with_the_same_bits(recorded: tuple[Path, Drive], tmp_path: Path, precision: str) -> None:
-    """Losses and weights of two runs of 2 steps are those of one of 4. Without its moments, the second run differs."""
+    """Two runs of 2 steps have the losses and weights of one run of 4. Without its moments, the second run differs."""
     folder, _ = recorded
     options = {"steps": 4, "checkpoint": 2, "optimizer": "adamw8bit", "precision": precision}
     whole, parts, other = (tmp_path / f"{name}-{precision}" for name in ("whole", "parts", "other"))

@@ -240,7 +240,7 @@ def test_weights_are_a_checkpoint(files: dict[str, Any], tmp_path: Path, train: 
 
 
 def test_a_process_takes_the_header(files: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Sizes and camera numbers are those of the weights, unless options say otherwise."""
+    """Sizes and camera numbers follow the weights, unless options say otherwise."""
     from pskel.models.pas import __main__ as command
     from pskel.models.pas import server
 

@@ -19,7 +19,7 @@ RECIPE = {"bins": {"count": 256, "scale": "linear", "far_m": 100.0, "gamma": 1.0
 
 
 def write_base(folder: Path) -> Path:
-    """Write a UNet of the sizes of ``TINY``, an autoencoder of 4 latent channels, and a text encoder of 24 channels."""
+    """Write a UNet with the sizes of ``TINY``, an autoencoder of 4 latent channels, and a text encoder of 24 channels."""
     from diffusers import AutoencoderKL, UNet2DConditionModel
     from transformers import CLIPTextConfig, CLIPTextModel
 

@@ -115,7 +115,7 @@ def test_held_out_clips_are_scored_and_shown(learned: Learned) -> None:
 
 
 def condition(number: int) -> FrameCondition:
-    """Conditions of a frame of the closed loop: those of the learned clip, in turn."""
+    """Conditions of a frame in the closed loop: the learned clip's, in turn."""
     frame = number % 2
     bins = CLIP.bins[frame].numpy().astype(np.float32)
     depth = np.where(bins == 0, -1.0, np.minimum(bins, 255) / 255)[:, None]

@@ -229,7 +229,7 @@ def test_half_precision_follows_the_module(network: Any) -> None:
 
 
 def test_copies_are_independent(network: Any) -> None:
-    """A copy, as of an average of weights, does not use parts of the original."""
+    """A copy, as for averages of weights, does not use parts of the original."""
     import copy
 
     other, given = copy.deepcopy(network), inputs()

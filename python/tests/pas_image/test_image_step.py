@@ -219,7 +219,7 @@ def test_loss_of_frames_that_count() -> None:
 
 
 def test_camera_and_motion_numbers_equal_those_of_poses() -> None:
-    """The numbers of a clip are those of its poses and intrinsics in pixels."""
+    """The numbers of a clip follow from its poses, and from intrinsics in pixels."""
     given = clip(3)
     found = collate([given], TINY).ids[0]
     size = torch.tensor([1600.0, 900.0], dtype=torch.float64)  # width, height

@@ -162,7 +162,7 @@ def test_batches_depend_on_the_seed_alone() -> None:
 
 
 def test_a_network_learns_a_batch() -> None:
-    """Answers and images of a fixed batch: a tenth of the loss, which begins at that of the filled color."""
+    """Answers and images of a fixed batch: a tenth of the loss, which begins at the filled color's."""
     torch.manual_seed(0)
     network = SmallNetwork(parity.SMALL)
     for name, values in zip(("means", "scales", "priors"), STATISTICS):

@@ -240,7 +240,7 @@ impl<'a> ComputeRasterizer<'a> {
         }
         self.colors.next_frame();
         let mut needed = seen_chunks(job, seen, &self.clouds);
-        // The numbers of a reordered chunk's points are those of any chunks.
+        // The points of a reordered chunk have numbers from any chunk.
         let reordered = |cloud: u32| self.clouds[cloud as usize].order().is_some();
         let whole =
             |cloud: u32| (0..self.clouds[cloud as usize].chunks() as u32).map(move |chunk| (cloud, chunk));

@@ -237,7 +237,7 @@ fn page(device: &Arc<Device>, layout: &PipelineLayout, rows: u64) -> Result<Page
     Ok(Page { points, set })
 }
 
-/// Joins chunks of a cloud in consecutive rows of a page. `rows` contains the chunk, row and number of points
+/// Joins a cloud's chunks in consecutive rows of a page. `rows` contains the chunk, row and number of points
 /// of each.
 fn slices(rows: impl Iterator<Item = (u32, u32, u32)>, page_rows: u32) -> Vec<Slice> {
     let mut slices: Vec<Slice> = Vec::new();

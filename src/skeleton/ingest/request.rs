@@ -49,7 +49,7 @@ pub struct BuildNeeds {
     pub disk_bytes: u64,
     /// Free disk space, bytes; `None` if the system does not say.
     pub free_bytes: Option<u64>,
-    /// Memory beyond that of the opened logs, bytes: it does not depend on the number of frames.
+    /// Memory in addition to the opened logs, bytes: it does not depend on the number of frames.
     pub memory_bytes: u64,
     /// Available memory.
     pub available: Available,

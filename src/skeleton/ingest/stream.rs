@@ -99,7 +99,7 @@ impl<'a> Stream<'a> {
             * points
             * size_of::<Candidate>() as u64;
         let frames = |count: usize| count.min(self.frames.len()) as u64;
-        // The images of a frame are decoded while those of the window are in memory.
+        // The images of a frame are decoded while the window's are in memory.
         frames(2 * color + 2) * image_bytes + frames(2 * color.max(hide) + 1 + READ_AHEAD) * sweep_bytes
     }
 

@@ -14,8 +14,8 @@ pub struct TemplateSources {
 }
 
 impl TemplateSources {
-    /// Returns the first template of each kind, sorted by kind, and a report on those of the log's own
-    /// actors.
+    /// Returns the first template of each kind, sorted by kind, and a report on templates from the log's
+    /// own actors.
     pub fn templates(&self, assets: &[(&Asset, &[Point])]) -> (Vec<TemplateCloud>, Option<TemplateReport>) {
         let mut all = self.given.clone();
         let report = self.own.then(|| {

@@ -65,7 +65,7 @@ impl Streets {
 }
 
 /// Opens a location with at least some number of points, or writes it to a folder if there is none. All
-/// streets have the same points, those of [`street_cloud`].
+/// streets have the points of [`street_cloud`].
 ///
 /// # Errors
 /// Fails if the folder has something else, or cannot be written.

@@ -151,7 +151,7 @@ impl RolloutScores {
         });
     }
 
-    /// Compares masks with those of the class maps.
+    /// Compares masks with the class maps.
     fn add_masks(&mut self, frame: &ScoredFrame<'_>) {
         let Some(masks) = frame.masks else { return };
         let mut step = Overlap::default();

@@ -62,7 +62,7 @@ fn ground_truth_copies_score_perfectly() {
     assert_eq!(scores.sharpness_ratio.drift.unwrap().slope_per_s, 0.0);
     let motion = scores.motion.unwrap();
     assert_eq!((motion.slope, motion.flicker), (Some(1.0), Some(1.0)));
-    // A closing leaves rectangles as they are. The masks of one of 16 steps are empty.
+    // A closing leaves rectangles as they are. One of 16 steps has empty masks.
     let iou = &scores.iou["masks"];
     assert_eq!(iou.generated, Some(15.0 / 16.0));
     assert_eq!(iou.steps.steps[..3], [None, Some(0.0), Some(1.0)]);

@@ -11,7 +11,7 @@ pub(crate) struct Images {
 }
 
 impl Images {
-    /// Number of pixels of all images.
+    /// Number of pixels in all images.
     pub(crate) fn pixels(&self) -> usize {
         self.count * self.height * self.width
     }

@@ -36,7 +36,7 @@ pub(crate) struct Model {
 }
 
 impl Model {
-    /// Reads a model from arrays; their names are those of the PyTorch modules.
+    /// Reads a model from arrays; they have the names of the PyTorch modules.
     ///
     /// # Errors
     /// Fails if an array is missing or has another shape.

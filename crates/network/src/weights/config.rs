@@ -99,7 +99,7 @@ impl NetworkConfig {
         [height as usize / by.max(1), width as usize / by.max(1)]
     }
 
-    /// Returns the token grid of a window of this many frames and cameras.
+    /// Returns the token grid for this many frames and cameras.
     pub(crate) fn grid(&self, frames: usize, views: usize) -> Grid {
         let [height, width] = self.divided(TOKEN);
         Grid { frames, views, height, width }

@@ -53,18 +53,18 @@ pub(crate) struct GeneratorArgs {
     /// Seed of the noise [default: 0]
     #[arg(long, value_name = "SEED")]
     noise_seed: Option<u64>,
-    /// With process:.., the kind of its predictions [default: that of --recipe, else flow_match]
+    /// With process:.., the kind of its predictions [default: the recipe's, else flow_match]
     #[arg(long, value_parser = names::<SamplerOptions>())]
     sampler: Option<SamplerOptions>,
     /// With process:.. and fill, the recipe of the conditions as JSON, in which missing fields have their
-    /// defaults; or pas-nuscenes, pas-nuplan, pas-image-nuscenes or pas-image-nuplan, that of a network of
-    /// the paper with the defaults of its window, steps, sampler and guidance [default for fill: that of the
+    /// defaults; or pas-nuscenes, pas-nuplan, pas-image-nuscenes or pas-image-nuplan, for a network of the
+    /// paper with the defaults of its window, steps, sampler and guidance [default for fill: as for the
     /// shipped network]
     #[arg(long, value_name = "RECIPE")]
     recipe: Option<PathBuf>,
-    /// Captions, in place of the prompt of --annotations, by name of a recording or token of an image:
+    /// Captions, in place of the prompt of --annotations, by name of a recording or image token:
     /// {"scene-0061": "Parked truck, turn left"}, or per camera and time as OpenDWM's. A frame without one
-    /// has that of the frame before
+    /// has the previous frame's
     #[arg(long, value_name = "F.json")]
     captions: Option<PathBuf>,
     /// With process:.., time-out for each of its answers, seconds [default: 60]

@@ -13,7 +13,7 @@ use crate::{logs, warn};
 /// options after it.
 const READING: &str = "Reading of the log";
 
-/// Locations of the parts of a data set, and how it is read.
+/// Locations of a data set's parts, and how it is read.
 #[derive(Clone, Debug, Default, Args)]
 pub(crate) struct LogRoots {
     /// Folder of sweeps and images, if not in the data set's usual place

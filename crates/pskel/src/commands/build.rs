@@ -71,7 +71,7 @@ pub(crate) struct BuildArgs {
     /// construction): points with x forward and z up; at most once per kind
     #[arg(long = "template", value_name = "KIND=FILE.npy|ply")]
     templates: Vec<TemplateFile>,
-    /// Create templates from the log's own actors; those of --template take precedence
+    /// Create templates from the log's own actors; --template takes precedence
     #[arg(long = "templates")]
     own_templates: bool,
     /// Folder of `pskel templates`, used for kinds that have no template yet

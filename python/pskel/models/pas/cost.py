@@ -125,7 +125,7 @@ def _print(title: str, names: Sequence[str], rows: Iterable[tuple[str, list[str]
 
 
 def _training(config: Config, options: argparse.Namespace) -> tuple[str, list[str], list[tuple[str, list[str]]]]:
-    """Title, columns and rows of the table of training."""
+    """Title, columns and rows of the training table."""
     from .training.memory import RUNS, cost, measured, table
 
     if not options.rate > 0:

@@ -68,7 +68,7 @@ class Denoiser:
     A ``Denoiser`` is the function of ``pskel.ResetAndRoll``; its conditions are ``FrameCondition``. Cameras are in the order
     of ``rig``. Encoded conditions of ``cached_frames`` frames remain on the device, found by their content: calls give the
     same result, bit for bit, with any number. ``camera_numbers`` must match the training of the network; without it, they
-    are those of the published checkpoint for these cameras.
+    match the published checkpoint for these cameras.
     """
 
     def __init__(

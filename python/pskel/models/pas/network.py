@@ -209,7 +209,7 @@ class Network(nn.Module):
         return _unpatchified(patches, rows, columns, self.config.patch_size).view(*leading, -1, *sample.shape[-2:])
 
     def _mix_frames(self, index: int, x: Tensor, view: Tensor, disabled: Tensor | None) -> Tensor:
-        """Blend tokens ``[B, T, V, tokens, D]`` with those of a block over the frames at the same position."""
+        """Blend tokens ``[B, T, V, tokens, D]`` with a block's output over the frames at the same position."""
         frames = x.shape[1]
         embedding = view + self._indices(self.time_pos_embeds[index], frames).view(frames, 1, 1, -1)
         transformed = _over_frames(self.temporal_transformer_blocks[index], x + embedding)
@@ -219,7 +219,7 @@ class Network(nn.Module):
     def _mix_views(
         self, index: int, columns: int, x: Tensor, view: Tensor, mask: Tensor | None, disabled: Tensor | None
     ) -> Tensor:
-        """Blend tokens ``[B, T, V, rows * columns, D]`` with those of a block over the cameras in the same row."""
+        """Blend tokens ``[B, T, V, rows * columns, D]`` with a block's output over the cameras in the same row."""
         views = x.shape[2]
         embedding = view + self._indices(self.view_pos_embeds[index], views).view(views, 1, -1)
         transformed = _over_views(self.crossview_transformer_blocks[index], x + embedding, columns, mask)

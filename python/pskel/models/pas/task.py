@@ -161,7 +161,7 @@ class PasTask:
             raise DataError(str(error)) from error
 
     def _draws(self, batch: Batch, *key: int | str) -> Draws:
-        """Draw the numbers of one clip of the size of ``batch``."""
+        """Draw the numbers of one clip as large as ``batch``."""
         _, frames, views, _, height, width = batch.images.shape
         latents = frames, views, self.config.in_channels, height // LATENT_SCALE, width // LATENT_SCALE
         return Draws.sample(generator_of(*key), 1, latents)

@@ -54,7 +54,7 @@ class ImageCodec:
     def posterior(self, images: Tensor) -> tuple[Tensor, Tensor]:
         """Encode images as for ``encode``; returns mean and deviation of the posterior, before shift and scale.
 
-        Always in single precision. Unlike those of ``encode``, the results may be inputs of a network in training.
+        Always in single precision. Unlike the results of ``encode``, these may be inputs of a network in training.
         """
         with torch.no_grad(), torch.autocast(self.device.type, enabled=False):
             distribution = self.vae.encode(images.to(self.device, torch.float32) * 2.0 - 1.0).latent_dist

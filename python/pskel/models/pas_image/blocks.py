@@ -21,7 +21,7 @@ _COLUMN_RANGE = 1000.0
 
 @dataclass
 class Window:
-    """Arrangement of the images of the UNet's present call, which its transformers share."""
+    """Arrangement of the images in the UNet's present call, which its transformers share."""
 
     shape: tuple[int, int, int] = (1, 1, 1)
     """Clips B, frames T, cameras V."""
@@ -111,7 +111,7 @@ class WindowTransformer(nn.Module):
         self.window = window
 
     def forward(self, hidden_states: Tensor, **options: object) -> tuple[Tensor]:
-        """Transform images ``[B * T * V, C, h, w]``; ``options`` are those of the spatial transformer."""
+        """Transform images ``[B * T * V, C, h, w]``; ``options`` are for the spatial transformer."""
         x: Tensor = self.spatial(hidden_states, **{**options, "return_dict": False})[0]
         window = self.window
         if window.views is None:

@@ -53,7 +53,7 @@ def collate(clips: Sequence[Clip], config: Config) -> Batch:
     """Join clips.
 
     Raises ``ValueError``, which names the clip, for one frame, for sizes that are not multiples of 8, for other depth
-    bins than those of ``config``, and for clips of other shapes or bins than the first one.
+    bins than in ``config``, and for clips of other shapes or bins than the first one.
     """
     first = clips[0]
     count = _bin_count(first)

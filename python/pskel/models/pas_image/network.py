@@ -85,7 +85,7 @@ class Network(nn.Module):
     """Classes of the modules that FSDP shards one by one, a name of diffusers and transformers."""
 
     def __init__(self, config: Config, unet: UNet2DConditionModel | None = None) -> None:
-        """Create a network with random weights, or with those of ``unet``, which becomes a part of it."""
+        """Create a network with random weights, or with the weights of ``unet``, which becomes a part of it."""
         super().__init__()
         self.config = config
         self.unet = UNet2DConditionModel(**config.unet) if unet is None else unet

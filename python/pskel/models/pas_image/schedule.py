@@ -1,4 +1,4 @@
-"""Noise levels of Stable Diffusion: ``x = sqrt(a) latents + sqrt(1 - a) noise``, ``a`` of a table of 1000 timesteps."""
+"""Noise levels of Stable Diffusion: ``x = sqrt(a) latents + sqrt(1 - a) noise``, ``a`` from a table of 1000 timesteps."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ LAST_TIMESTEP = 1
 class Schedule:
     """Table of ``a``, the share of the latents in the variance, and what follows from it.
 
-    Timesteps ``[B, T]`` are those of each frame, latents ``[B, T, ..]``. ``zero_snr``: see ``Config``.
+    Timesteps are per frame, ``[B, T]``, latents ``[B, T, ..]``. ``zero_snr``: see ``Config``.
     """
 
     def __init__(self, zero_snr: bool = False) -> None:
@@ -51,7 +51,7 @@ class Schedule:
         return signal * clean + spread * noise
 
     def of_loop(self, timesteps: Sequence[float]) -> Tensor:
-        """Return the levels of this table, ``float32 [L]``, that have the noise of timesteps of the loop's table.
+        """Return the levels of this table, ``float32 [L]``, that have the noise of timesteps in the loop's table.
 
         The loop has no table of zero signal at the last step. Without ``zero_snr`` both tables are the same. Raises
         ``ValueError`` for timesteps that are not in the table.
@@ -76,7 +76,7 @@ class Schedule:
 def inference_timesteps(steps: int, zero_snr: bool = False) -> list[int]:
     """Return the timesteps of inference steps, descending.
 
-    They are those of ``--sampler ddim_..``; with ``zero_snr``, they begin at the last one of the table. Raises
+    They are as with ``--sampler ddim_..``; with ``zero_snr``, they begin at the last one of the table. Raises
     ``ValueError`` for a number of steps that is not between 1 and 1000.
     """
     if not 1 <= steps <= TIMESTEPS:

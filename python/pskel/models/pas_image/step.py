@@ -1,6 +1,6 @@
 """The training step: network inputs and loss of a batch, as a function of explicit draws.
 
-In a share of the clips the frames before the last are those of a rollout: slightly noisy, and without loss (*Point as
+In a share of the clips the frames before the last are as in a rollout: slightly noisy, and without loss (*Point as
 Skeleton*). In the others every frame has a level of its own (diffusion forcing, arXiv:2407.01392), as in a roll.
 """
 

@@ -20,7 +20,7 @@ MAX_CAMERAS = 8
 
 
 def default_recipe() -> dict[str, Any]:
-    """Return how conditions are rendered; the keys are those of the denoiser protocol."""
+    """Return how conditions are rendered; the keys are as in the denoiser protocol."""
     return {
         "drawn": "256x448",
         "size": "256x448",

@@ -135,7 +135,7 @@ def _dropped(frames: Frames, options: DrawOptions, dice: Dice) -> Frames:
 
 
 def draw_batch(windows: Sequence[Frames], statistics: Statistics, options: DrawOptions, dice: Dice) -> Batch:
-    """Return a batch of windows of the same number of frames and cameras."""
+    """Return a batch of windows that have the same number of frames and cameras."""
     rows, crops = [], []
     for number, window in enumerate(windows):
         length = len(window.action)

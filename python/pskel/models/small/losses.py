@@ -13,7 +13,7 @@ __all__ = ["Discriminator", "answer_loss", "guess_errors", "image_weights", "sim
 
 
 def guess_errors(batch: Batch, statistics: Statistics, expected_error: float) -> Tensor:
-    """Return the mean square error of the guess of each frame, ``[B, L]``, relative to its average over the data; at least 1."""
+    """Return the mean square error of each frame's guess, ``[B, L]``, relative to its average over the data; at least 1."""
     usual = statistics.priors[:, None, None] / expected_error
     return ((batch.clean - batch.guess) / usual).square().mean((2, 3, 4, 5)).clamp(min=1)
 

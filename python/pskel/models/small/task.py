@@ -55,7 +55,7 @@ def recipe(options: Mapping[str, Any]) -> Mapping[str, Any]:
 
 
 def task(options: Mapping[str, Any], train: TrainOptions) -> SmallTask:
-    """Create the task. ``options`` are those of ``SmallConfig``, ``DrawOptions`` and ``LossOptions``, and ``start``: a file of
+    """Create the task. ``options`` are fields of ``SmallConfig``, ``DrawOptions`` and ``LossOptions``, and ``start``: a file of
     weights to start from. Raises ``ValueError`` for others."""
     tables: dict[Any, dict[str, Any]] = {SmallConfig: {}, DrawOptions: {}, LossOptions: {}}
     for key, value in options.items():

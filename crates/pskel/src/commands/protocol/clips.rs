@@ -53,7 +53,7 @@ pub(crate) struct ClipProtocolArgs {
     /// Parts of the protocol [default: all]
     #[arg(long, value_name = "PART,..", value_delimiter = ',')]
     parts: Vec<String>,
-    /// Accept any logs instead of all those of the protocol; the table says so
+    /// Accept any logs instead of all logs in the protocol; the table says so
     #[arg(long)]
     other_logs: bool,
     /// At most this number of clips per recording and part [default: all]

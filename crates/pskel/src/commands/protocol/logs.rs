@@ -9,7 +9,7 @@ use crate::args::source::SkeletonsArgs;
 #[derive(Debug, Args)]
 pub(super) struct ProtocolLogs {
     /// Recordings: [FORMAT:]PATH[@VERSION][#SCENE]; of sets, like nuscenes:ROOT@v1.0-trainval#* or
-    /// nuplan-simgen:FOLDER, those of the protocol
+    /// nuplan-simgen:FOLDER, the protocol's recordings
     #[arg(value_name = "LOG", required = true, value_parser = log::log)]
     logs: Vec<LogLocator>,
     #[command(flatten)]
@@ -21,7 +21,7 @@ pub(super) struct ProtocolLogs {
 }
 
 impl ProtocolLogs {
-    /// Returns the logs, each once, with those of sets.
+    /// Returns the logs, each once, including sets.
     pub(super) fn expand(&self) -> anyhow::Result<Vec<LogLocator>> {
         let mut found = Vec::new();
         for log in &self.logs {

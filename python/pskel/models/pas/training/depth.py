@@ -37,7 +37,7 @@ def depth_channels(bins: Tensor, count: int, mode: DepthMode) -> Tensor:
 
 @lru_cache(maxsize=4)
 def _table(count: int) -> Tensor:
-    """Values of all channels for each bin, ``float32 [count + 1, 17]``; in the order of operations of the renderer."""
+    """Values of all channels for each bin, ``float32 [count + 1, 17]``; in the renderer's order of operations."""
     unit = torch.arange(1, count + 1).clamp(max=count - 1).float() / (count - 1)
     octaves = math.log2(count / 2)
     frequencies = torch.tensor([2.0 ** (k * octaves / (_FREQUENCIES - 1)) for k in range(_FREQUENCIES)])

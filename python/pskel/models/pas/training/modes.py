@@ -105,7 +105,7 @@ def full_weights(
 ) -> dict[str, Tensor]:
     """Put ``trained_weights`` into the tensors of a checkpoint, of which the point adapter may be missing.
 
-    Raises ``ValueError`` for other tensors than those of ``config``, with LoRA matrices of ``rank``.
+    Raises ``ValueError`` for tensors that ``config`` does not have, with LoRA matrices of ``rank``.
     """
     with torch.device("meta"):
         network = Network(config)

@@ -23,7 +23,7 @@ class TrainedNetwork(nn.Module):
         self.network = network
 
     def forward(self, inputs: Inputs) -> Tensor:
-        """Return the velocity, of the shape of ``inputs.sample``."""
+        """Return the velocity, shaped like ``inputs.sample``."""
         network = self.network
         residuals = network.encode_layout(inputs.layout)
         if inputs.points is not None:

@@ -19,7 +19,7 @@ _EXPORTS = ("full", "trained")
 
 @dataclass(frozen=True)
 class TaskOptions:
-    """Options beside those of ``StepOptions``. Raises ``ValueError`` for other values."""
+    """Options that ``StepOptions`` does not have. Raises ``ValueError`` for other values."""
 
     base: str
     """Folder of Stable Diffusion 3.5: autoencoder, text encoders and tokenizers."""
@@ -74,7 +74,7 @@ class TaskOptions:
 
 
 def parse(options: Mapping[str, Any]) -> tuple[TaskOptions, StepOptions]:
-    """Convert the table; dropouts that it does not name are those of the preset. Raises ``ValueError``."""
+    """Convert the table; dropouts that it does not name come from the preset. Raises ``ValueError``."""
     kinds = (TaskOptions, StepOptions)
     known = {field.name: (kind, field.default) for kind in kinds for field in fields(kind)}
     if unknown := sorted(set(options) - set(known)):
