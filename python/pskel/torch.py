@@ -21,7 +21,7 @@ try:
 except ImportError as error:
     raise ImportError("pskel.torch needs PyTorch: pip install 'pskel[torch]'") from error
 
-from . import Captions, Error, Log, Renderer, Scene, Skeleton
+from . import Captions, Log, Renderer, Scene, Skeleton
 from ._types import RenderKeywords, check_names
 from .train.data.logs import mounted_cameras
 from .train.data.numbers import camera_numbers, ego_motion
@@ -105,7 +105,7 @@ class _Clips:
         self._opened: OrderedDict[int, _Opened] = OrderedDict()
         self._process = os.getpid()
         self._caption_of = captions if callable(captions) else None
-        of_file = None if captions is None or callable(captions) else _captions(captions)
+        of_file = None if captions is None or callable(captions) else Captions(captions)
         times, texts = [], []
         for source in self.sources:
             log = _checked(source)
@@ -206,13 +206,6 @@ def _checked(source: ClipSource) -> Log:
     return log
 
 
-def _captions(path: str | os.PathLike[str]) -> Captions:
-    try:
-        return Captions(path)
-    except Error as error:
-        raise ValueError(str(error)) from error
-
-
 def _every(times_us: np.ndarray[Any, np.dtype[np.int64]], hz: float, log: str) -> int:
     """Return which key frame is the next one of a clip at a rate. Raises ``ValueError`` if the rates do not fit."""
     if len(times_us) < 2:
@@ -257,7 +250,7 @@ class ConditionDataset(_Clips, Dataset[dict[str, Any]]):
       (m), then fx/W, fy/H, cx/W, cy/H; and ``action`` ``float32 [T, 3]``: forward, left (m) and yaw (rad) since the
       previous frame of the same spacing, also that before the clip; zeros without one,
     - with ``captions``, ``captions``: a list of T lists of V texts. ``captions`` is a JSON file for ``pskel.Captions``,
-      such as those that OpenDWM publishes for nuScenes, and *Point as Skeleton* for nuPlan; or a function of log name,
+      such as OpenDWM publishes for nuScenes, and *Point as Skeleton* for nuPlan; or a function of log name,
       frame number and camera. Logs without one have empty texts.
 
     Clips begin every ``stride`` key frames. Their frames are consecutive key frames, every ``every``-th one, or key
@@ -266,7 +259,7 @@ class ConditionDataset(_Clips, Dataset[dict[str, Any]]):
     (``set_epoch``) and index only; recorded images do not follow a moved ego. ``augment_assets`` is the seed for
     degrading a share of the assets, the option ``augment`` of ``pskel.Renderer``. Other keyword arguments are passed to
     ``pskel.Renderer``, except ``maps`` and ``log``. Raises ``ValueError`` for a skeleton of other logs, for a rate that
-    does not divide a log's rate, for another file of captions, and if no log is as long as a clip.
+    does not divide a log's rate, and if no log is as long as a clip, and ``pskel.Error`` for another file of captions.
     """
 
     def __len__(self) -> int:

@@ -168,7 +168,7 @@ def test_captions_of_files(sources: list[tuple[str, str]], log: pskel.Log, tmp_p
     path.write_text(json.dumps({"other": "Sun"}))
     assert ConditionDataset(sources, captions=str(path), **options)[0]["captions"] == [[""] * 6] * 2
     path.write_text("[]")
-    with pytest.raises(ValueError, match="expected .*, found an array .*captions.json"):
+    with pytest.raises(pskel.Error, match="expected .*, found an array .*captions.json"):
         ConditionDataset(sources, captions=path, **options)
 
 

@@ -167,6 +167,12 @@ def test_other_files_are_no_recordings(tmp_path: Path) -> None:
     refused(r"cameras as F32 \[8, 2, 12\]")
     write_recording(path, recipe={**RECIPE, "colour": 1})
     refused("expected the keys .* in a recipe, found 'colour'")
+    row = ["a", "b"]
+    for captions in ([row] * 7, [row] * 7 + [["a"]], [row] * 7 + [["a", 1]], [row] * 7 + ["ab"], {}):
+        write_recording(path, captions=captions)
+        refused("captions other than texts of 8 frames and 2 cameras")
+    write_recording(path, captions=[row] * 8)
+    assert RecordedReader(path).captions == [row] * 8
     write_recording(path)
     os.truncate(path, path.stat().st_size - 1)
     refused("cut off")

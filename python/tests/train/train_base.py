@@ -65,6 +65,7 @@ def write_recording(
     recipe: Mapping[str, Any] = RECIPE,
     without: Sequence[str] = (),
     changed: Mapping[str, Any] | None = None,
+    captions: Any = None,
 ) -> dict[str, np.ndarray[Any, Any]]:
     """Write a safetensors file by hand, byte by byte as the format says; returns its arrays."""
     arrays = {name: array for name, array in arrays_of(frames, seed).items() if name not in without}
@@ -73,6 +74,8 @@ def write_recording(
     cameras = ["CAM_FRONT", "CAM_BACK"]
     about = {"log": log, "source": "2-0 2-1", "hz": hz, "cameras": cameras, "recipe": recipe}
     header: dict[str, Any] = {"__metadata__": {"drive": json.dumps(about)}}
+    if captions is not None:
+        header["__metadata__"]["clip"] = json.dumps({"captions": captions})
     place = 0
     for name, array in sorted(arrays.items()):
         offsets = [place, place + array.nbytes]
@@ -102,7 +105,7 @@ class Linear(nn.Module):
 
 
 class Critic(nn.Module):
-    """A second player, whose loss is of the images of the first."""
+    """A second player, whose loss depends on the first one's images."""
 
     def __init__(self) -> None:
         super().__init__()

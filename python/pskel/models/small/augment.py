@@ -9,7 +9,7 @@ from torch import Generator, Tensor
 from .inputs import Maps
 
 BLOCK = 32
-"""Side of the blocks of pixels that lose their points."""
+"""Side of the blocks of pixels that lose their points, or whose mean colors become those in the images."""
 
 
 class Dice:
@@ -31,7 +31,7 @@ class Dice:
         return int(torch.randint(count, (), generator=self.generator))
 
     def normal(self, like: Tensor) -> Tensor:
-        """Return normal numbers of the shape of a tensor."""
+        """Return normal numbers in the shape of a tensor."""
         return torch.randn(like.shape, generator=self.generator).to(like)
 
     def uniform(self, *shape: int) -> Tensor:
@@ -102,7 +102,7 @@ def _mirrored(images: Tensor, views: int) -> Tensor:
 
 
 def erring(clean: Tensor, dice: Dice) -> Tensor:
-    """Return latents ``[L, V, C, h, w]`` with errors like those of generated frames: another brightness of images, and noise."""
+    """Return latents ``[L, V, C, h, w]`` with errors as in generated frames: another brightness of images, and noise."""
     frames, views, channels = clean.shape[:3]
     gain = torch.exp((dice.uniform(frames, views, 1, 1, 1) * 2 - 1) * 0.2)
     shift = (dice.uniform(frames, views, 1, 1, 1) * 2 - 1) * 0.3 + (dice.uniform(frames, views, channels, 1, 1) * 2 - 1) * 0.1

@@ -27,6 +27,6 @@ def read_captions(path: str) -> pskel.Captions:
 
 
 @lru_cache(maxsize=1)
-def content_of(path: str) -> str:
-    """Return a digest of a file's content."""
-    return hashlib.sha256(Path(path).read_bytes()).hexdigest()[:32]
+def content_of(path: str | None) -> str | None:
+    """Return a digest of a file's content; ``None`` without a file."""
+    return None if path is None else hashlib.sha256(Path(path).read_bytes()).hexdigest()[:32]

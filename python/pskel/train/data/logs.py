@@ -57,7 +57,7 @@ def open_log(text: str) -> pskel.Log:
 def mounted_cameras(log: pskel.Log, frame: int) -> npt.NDArray[np.float64]:
     """Return ``ego_from_camera`` of the cameras at a key frame, ``[V, 4, 4]``: the mounting positions.
 
-    The cameras of a key frame are where their images were taken, some milliseconds apart; those of an instant are
+    The cameras of a key frame are where their images were taken, some milliseconds apart; at an instant they are
     together.
     """
     scene = log.at(log.times_us[frame])
@@ -66,7 +66,7 @@ def mounted_cameras(log: pskel.Log, frame: int) -> npt.NDArray[np.float64]:
 
 
 def log_images(log: pskel.Log, scene: pskel.Scene, recipe: Mapping[str, Any], *, town: bool) -> npt.NDArray[np.uint8]:
-    """Return the images of a scene, ``uint8 [V, H, W, 3]`` of the recipe's ``size``; those of a town are rendered at
+    """Return the images of a scene, ``uint8 [V, H, W, 3]`` of the recipe's ``size``; a town's are rendered at
     ``drawn``.
 
     Raises ``DataError`` if there are none.

@@ -1,7 +1,7 @@
 """Maps of the layout pas-cache, for logs that have the images and the poses.
 
-``FOLDER/3dbox_images`` and ``hdmap_images`` are of the size of the images, ``proj_depth_g1.0`` (nuPlan:
-``proj_depth_g1.0_b256``) and ``proj_clr`` of the size of the maps. Files are named by tokens of images.
+``FOLDER/3dbox_images`` and ``hdmap_images`` are as large as the images, ``proj_depth_g1.0`` (nuPlan:
+``proj_depth_g1.0_b256``) and ``proj_clr`` as large as the maps. Files are named by image tokens.
 """
 
 from __future__ import annotations

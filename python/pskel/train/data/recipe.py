@@ -1,4 +1,4 @@
-"""Recipes: how the maps of a network are rendered. The keys are those of the denoiser protocol."""
+"""Recipes: how the maps of a network are rendered. The keys are as in the denoiser protocol."""
 
 from __future__ import annotations
 

@@ -3,8 +3,8 @@
 Arrays are ``color``, ``boxes``, ``map``, ``truth`` (U8 ``[F, V, H, W, 3]``), ``bins`` (U16 or I16 ``[F, V, H, W]``),
 ``action`` (F32 ``[F, 3]``) and ``cameras`` (F32 ``[F, V, 16]``). The metadata ``drive`` is JSON of log, source, rate,
 cameras and recipe. Files of this package also have ``global_from_ego`` (F64 ``[F, 4, 4]``), ``t_us`` (I64 ``[F]``),
-``original_sizes`` (I64 ``[V, 2]``) and the metadata ``clip``: JSON of variant, identity, captions (``[F][V]``, or null)
-and runs of frames without gaps.
+``original_sizes`` (I64 ``[V, 2]``) and the metadata ``clip``: JSON of variant, identity, captions (``[F][V]``, or null),
+a digest of their file, and runs of frames without gaps.
 """
 
 from __future__ import annotations
@@ -64,6 +64,8 @@ class RecordedReader(FrameReader):
             raise self._wrong(f"an invalid header ({first_line(error)})") from None
         self.runs = [range(*run) for run in more.get("runs", [[0, frames]])]
         self.captions = more.get("captions")
+        self._check_captions(frames)
+        self.captions_content: str | None = more.get("captions_content")
         self._action = self._all("action")
         if "t_us" in header:
             self.times_us = self._all("t_us")
@@ -79,6 +81,15 @@ class RecordedReader(FrameReader):
 
     def _wrong(self, found: str) -> DataError:
         return DataError(f"expected a recorded clip, found {found}: {self.path}")
+
+    def _check_captions(self, frames: int) -> None:
+        def is_list(values: Any, length: int) -> bool:
+            return isinstance(values, list) and len(values) == length
+
+        rows = [] if self.captions is None else self.captions
+        is_full = self.captions is None or is_list(rows, frames) and all(is_list(row, len(self.names)) for row in rows)
+        if not is_full or not all(isinstance(text, str) for row in rows for text in row):
+            raise self._wrong(f"captions other than texts of {frames} frames and {len(self.names)} cameras")
 
     def _check(self) -> int:
         """Check names, types and shapes of the arrays; returns the number of frames."""

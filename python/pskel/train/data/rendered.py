@@ -82,11 +82,10 @@ class RenderedSource:
         return json.dumps(parts, sort_keys=True)
 
     def identity(self) -> str:
-        """Return a digest of everything that a recording depends on, but the pixels of recorded images."""
+        """Return a digest of everything that the maps of a recording depend on."""
         skeleton = self.skeleton / "skeleton.json"
         content = skeleton.read_bytes() if skeleton.is_file() else b""
-        captions = {} if self.captions is None else {"content": content_of(self.captions)}
-        text = json.dumps((self.recipe, asdict(self.change), captions), sort_keys=True)
+        text = json.dumps((self.recipe, asdict(self.change)), sort_keys=True)
         return hashlib.sha256(text.encode() + content).hexdigest()[:32]
 
 
@@ -194,6 +193,7 @@ def record(source: RenderedSource, path: Path) -> None:
         "variant": reader.variant,
         "identity": identity,
         "captions": reader.captions,
+        "captions_content": content_of(source.captions),
     }
     try:
         with Recorder(path, about, clip, len(frames)) as recorder:

@@ -10,10 +10,10 @@ from typing import Any, NamedTuple
 from ..config import DataOptions
 from ..errors import ConfigError, DataError, first_line
 from ..parallel import Processes
-from .captions import read_captions
+from .captions import content_of, read_captions
 from .exports import export_options
 from .jobs import Say, in_rounds
-from .logs import is_town
+from .logs import is_town, open_log
 from .pas_cache import PasCacheReader, recipe_of_cache
 from .reader import ClipSet, FrameReader
 from .recipe import complete, difference
@@ -72,7 +72,7 @@ def open_data(
 
 
 def _same_recipe(readers: Sequence[FrameReader], wanted: dict[str, Any] | None, say: Say) -> dict[str, Any]:
-    """Check that readers are of a recipe, by default that of the first; returns it."""
+    """Check that readers are of a recipe, by default the first reader's; returns it."""
     for reader in readers:
         found = reader.recipe
         wanted = wanted or complete({key: value for key, value in found.items() if value is not None})
@@ -177,8 +177,11 @@ def _recorded(
         for source, path in zip(sources, paths):
             recording = RecordedReader(path)
             if recording.identity != source.identity():
-                what = "a recording of this skeleton, recipe and captions"
+                what = "a recording of this skeleton and recipe"
                 raise DataError(f"expected {what}, found another one; remove it, or choose another data.cache: {path}")
+            if recording.captions_content != content_of(source.captions):
+                captions = source.captions
+                recording.captions = None if captions is None else read_captions(captions).of(open_log(source.text))
             found.append(recording)
     return found
 
@@ -214,7 +217,7 @@ def _listed(spec: str) -> Iterator[_Listed]:
 
 
 def _chosen(by_spec: Sequence[Sequence[FrameReader]], options: DataOptions, recipe: dict[str, Any], say: Say) -> Data:
-    """Choose the clips for training and validation, and how often those of a log are drawn."""
+    """Choose the clips for training and validation, and how often a log's clips are drawn."""
 
     def clip_set(reader: FrameReader, **choice: Any) -> ClipSet:
         return ClipSet.create(
