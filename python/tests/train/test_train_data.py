@@ -168,7 +168,8 @@ def test_other_files_are_no_recordings(tmp_path: Path) -> None:
     write_recording(path, recipe={**RECIPE, "colour": 1})
     refused("expected the keys .* in a recipe, found 'colour'")
     row = ["a", "b"]
-    for captions in ([row] * 7, [row] * 7 + [["a"]], [row] * 7 + [["a", 1]], [row] * 7 + ["ab"], {}):
+    wrong: list[object] = [[row] * 7, [row] * 7 + [["a"]], [[*row], *[["a", 1]] * 7], ["ab"] * 8, {}]
+    for captions in wrong:
         write_recording(path, captions=captions)
         refused("captions other than texts of 8 frames and 2 cameras")
     write_recording(path, captions=[row] * 8)

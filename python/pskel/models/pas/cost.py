@@ -156,7 +156,7 @@ def _rows(costs: Sequence[Cost]) -> list[tuple[str, list[str]]]:
                 for count, cost in zip(frames, costs)
             ],
         ),
-        ("operations of an evaluation of the network", [f"{cost.call_operations / 1e12:.0f} T" for cost in costs]),
+        ("operations per evaluation of the network", [f"{cost.call_operations / 1e12:.0f} T" for cost in costs]),
         ("operations of the adapters and projections per new frame", [f"{cost.frame_operations / 1e12:.1f} T" for cost in costs]),
         ("evaluations per planning step with guidance 2", [str(cost.calls) for cost in costs]),
         ("operations per planning step", [f"{cost.step_operations / 1e15:.1f} P" for cost in costs]),

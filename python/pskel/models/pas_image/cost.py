@@ -126,7 +126,7 @@ def _rows(costs: Sequence[Cost], rate: float) -> list[tuple[str, list[str]]]:
             "conditions of a frame per adapter; of `--cached-frames` frames",
             [f"{c.frame_bytes / 1e6:.0f} MB; {2 * c.cached_frames * c.frame_bytes / 1e6:.0f} MB" for c in costs],
         ),
-        ("operations of an evaluation of the network", [f"{c.call_operations / 1e12:.1f} T" for c in costs]),
+        ("operations per evaluation of the network", [f"{c.call_operations / 1e12:.1f} T" for c in costs]),
         ("operations of the adapters per new frame", [f"{c.frame_operations / 1e12:.2f} T" for c in costs]),
         ("evaluations per planning step with guidance 2", [str(c.calls) for c in costs]),
         ("operations per planning step", [f"{c.step_operations / 1e12:.0f} T" for c in costs]),
