@@ -10,7 +10,7 @@ packages=('maturin>=1.16,<2' numpy pytest mypy 'gymnasium>=1.4' matplotlib tqdm 
     mcap mcap-protobuf-support ${PSKEL_PYTHON_EXTRAS:-})
 # Networks and their training; tests are skipped without.
 torch=(torch torchvision 'diffusers>=0.35,<1' 'transformers>=4.49,<6' 'accelerate>=1' 'peft>=0.13' sentencepiece protobuf
-    tensorboard 'torchmetrics>=1.8' 'torch-fidelity>=0.3')
+    tensorboard 'torchmetrics>=1.8' 'torch-fidelity>=0.3' scipy)
 # Tests are skipped without each: readers of EXR files, Rerun, a driving policy of another project, and what regenerates the
 # messages of AlpaSim.
 optional=('opencv-python-headless<5 OpenEXR' rerun-sdk==0.41.0 'grpcio-tools carla-driver-interface==2.3.1')

@@ -195,7 +195,7 @@ def test_wrong_input_is_reported(tmp_path, i3d_weights):
         ([tmp_path / "empty", "--i3d", i3d_weights, *out], 1, "expected a rollout with generated images, found none"),
         ([rollout, "--i3d", tmp_path / "text.pt", "--frames", 10, *out], 1, "found at most 3"),
         ([rollout, "--inception", tmp_path / "text.pt", *out], 1, "expected weights of Inception"),
-        ([rollout, "--inception", tmp_path / "none.pth", *out], 1, "none.pth: no such file"),
+        ([rollout, "--inception", tmp_path / "none.pth", *out], 1, "none.pth: No such file"),
     ):
         done = run(*arguments)
         assert done.returncode == status and said in done.stderr, (arguments, done.stderr)
@@ -228,11 +228,169 @@ def test_rollouts_without_ground_truth_are_compared_with_reference_images(tmp_pa
     assert float(rows[1]["fid"]) == pytest.approx(frechet_distance(window, expected), rel=1e-3)
     # Rollouts with ground truth are references too: the images of all their steps.
     assert [len(video) for video in read_reference(other, (32, 56))] == [14, 14]
-    np.testing.assert_array_equal(read_reference(other, (32, 56))[0][2], read_rollout(other)[0].truth[0])
-    assert read_reference(recorded / "CAM_BACK", (32, 56))[0].shape == (13, 32, 56, 3)
+    np.testing.assert_array_equal(read_reference(other, (32, 56))[0].read()[2], read_rollout(other)[0].truth.read()[0])
+    assert read_reference(recorded / "CAM_BACK", (32, 56))[0].read().shape == (13, 32, 56, 3)
     (tmp_path / "empty").mkdir()
     done = run(rollout, *weights, "--reference", recorded, tmp_path / "empty")
     assert done.returncode == 1 and "expected a rollout with ground truth, or a folder of PNG or JPEG images" in done.stderr
     (tmp_path / "empty/a.png").write_text("no image")
     done = run(rollout, *weights, "--reference", tmp_path / "empty")
     assert done.returncode == 1 and "expected a reference image, found another file" in done.stderr
+
+
+def test_features_are_computed_once(tmp_path, inception_weights, i3d_weights):
+    """An interrupted run continues, and its files are those of an uninterrupted one."""
+    rollouts = [write_rollout(tmp_path / name, 11) for name in ("a", "b")]
+    weights = ["--inception", inception_weights, "--i3d", i3d_weights, "--frames", 10, "--out"]
+    once = run(*rollouts, *weights, tmp_path / "once")
+    assert once.returncode == 0, once.stderr
+    assert run(rollouts[0], *weights, tmp_path / "parts").returncode == 0
+    cached = {path: path.stat().st_mtime_ns for path in (tmp_path / "parts/cache").iterdir()}
+    assert len(cached) == 8  # 2 networks, 2 cameras, generated and truth
+    # As a killed process leaves it.
+    (tmp_path / "parts/cache/.inception-0.npy.partial").write_bytes(b"half")
+    (tmp_path / "parts/cache").joinpath(sorted(cached)[0].name).write_bytes(b"")
+    done = run(*rollouts, *weights, tmp_path / "parts")
+    assert done.returncode == 0 and done.stdout == once.stdout, done.stderr
+    for path in sorted((tmp_path / "once").rglob("*")):
+        if path.is_file():
+            assert path.read_bytes() == (tmp_path / "parts" / path.relative_to(tmp_path / "once")).read_bytes(), path
+    unchanged = [path for path, time in cached.items() if path.stat().st_mtime_ns == time]
+    assert len(unchanged) == 7
+    # Another image has other features.
+    Image.fromarray(images(99, 32, 56)).save(rollouts[1] / "steps/000006/generated/CAM_BACK.png")
+    assert run(*rollouts, *weights, tmp_path / "parts").stdout != once.stdout
+
+
+def ask(*requests):
+    text = "".join(json.dumps(request) + "\n" for request in requests)
+    done = subprocess.run(
+        [sys.executable, "-m", "pskel.metrics.server"], input=text, capture_output=True, text=True, check=False, timeout=300
+    )
+    assert done.returncode == 0, done.stderr
+    return [json.loads(line) for line in done.stdout.splitlines()]
+
+
+def test_server_answers_as_the_command(tmp_path, inception_weights, i3d_weights):
+    long, short = write_rollout(tmp_path / "long", 17), write_rollout(tmp_path / "short", 3)
+    weights = {"inception": str(inception_weights), "i3d": str(i3d_weights), "cache": str(tmp_path / "cache"), "device": "cpu"}
+    whole, few, missing, unknown = ask(
+        {"distances": {"rollouts": [str(long)], "references": None, **weights}},
+        {"distances": {"rollouts": [str(short)], "references": [str(long)], **weights}},
+        {"distances": {"rollouts": [str(tmp_path)], "references": None, **weights}},
+        {"other": {}},
+    )
+    done = run(long, "--inception", inception_weights, "--i3d", i3d_weights, "--out", tmp_path / "out")
+    written = json.loads((tmp_path / "out/metrics.json").read_text())
+    assert whole == {**written, "notes": []}, done.stderr
+    assert few["fid"]["samples"] == [6, 38] and few["fvd"] is None
+    assert few["notes"] == ["no FVD: expected a rollout of 16 generated frames or more, found at most 3"]
+    assert missing == {"error": f"expected a rollout with generated images, found none: {tmp_path}"}
+    assert unknown == {"error": "expected distances or masks, found other"}
+
+
+CITYSCAPES = (
+    "road,sidewalk,building,wall,fence,pole,traffic light,traffic sign,vegetation,terrain,sky,"
+    "person,rider,car,truck,bus,train,motorcycle,bicycle"
+)
+
+
+@pytest.fixture(scope="session")
+def mask2former(tmp_path_factory):
+    """A tiny Mask2Former with random weights."""
+    transformers = pytest.importorskip("transformers", reason="transformers is not installed")
+    pytest.importorskip("scipy", reason="SciPy is not installed")
+    names = CITYSCAPES.split(",")
+    backbone = transformers.SwinConfig(
+        image_size=64, patch_size=4, embed_dim=12, depths=[1] * 4, num_heads=[1, 2, 3, 4], window_size=4, drop_path_rate=0.0,
+        out_features=["stage1", "stage2", "stage3", "stage4"],
+    )  # fmt: skip
+    config = transformers.Mask2FormerConfig(
+        backbone_config=backbone, feature_size=32, mask_feature_size=32, hidden_dim=32, encoder_feedforward_dim=32, dim_feedforward=32,
+        encoder_layers=1, decoder_layers=2, num_attention_heads=4, num_queries=8, id2label=dict(enumerate(names)),
+        label2id={name: number for number, name in enumerate(names)},
+    )  # fmt: skip
+    torch.manual_seed(4)
+    folder = tmp_path_factory.mktemp("mask2former")
+    transformers.Mask2FormerForUniversalSegmentation(config).eval().save_pretrained(folder)
+    size = {"height": 96, "width": 96}
+    transformers.Mask2FormerImageProcessor(size=size, ignore_index=255, do_reduce_labels=False, num_labels=19).save_pretrained(folder)
+    return folder
+
+
+def run_masks(*arguments):
+    command = [sys.executable, "-m", "pskel.metrics.masks", *map(str, arguments)]
+    return subprocess.run(command, capture_output=True, text=True, check=False)
+
+
+def test_masks_are_those_of_the_model(tmp_path, mask2former):
+    from transformers import AutoImageProcessor, Mask2FormerForUniversalSegmentation
+
+    from pskel.metrics.masks import VEHICLES
+
+    rollout = write_rollout(tmp_path / "rollout", 3)
+    done = run_masks(rollout, "--mask2former", mask2former)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout == f"6 of 6 masks written, 0 were there: {rollout / 'masks'}\n"
+    network = Mask2FormerForUniversalSegmentation.from_pretrained(mask2former).eval()
+    processor = AutoImageProcessor.from_pretrained(mask2former)
+    vehicles = [number for number, name in network.config.id2label.items() if name in VEHICLES]
+    assert len(vehicles) == 4  # car, truck, bus, train
+    written = sorted((rollout / "masks").rglob("*.png"))
+    assert [str(path.relative_to(rollout / "masks")) for path in written[:2]] == ["000004/CAM_BACK.png", "000004/CAM_FRONT.png"]
+    for path in written:
+        image = np.asarray(Image.open(rollout / "steps" / path.parent.name / "generated" / path.name))
+        with torch.inference_mode():
+            outputs = network(**processor(images=[image], return_tensors="pt"))
+        classes = processor.post_process_semantic_segmentation(outputs, target_sizes=[(32, 56)])[0].numpy()
+        np.testing.assert_array_equal(np.asarray(Image.open(path)), np.isin(classes, vehicles) * np.uint8(255))
+    # Only masks of other images are written again.
+    before = {path: path.read_bytes() for path in written}
+    written[0].unlink()
+    Image.fromarray(images(98, 32, 56)).save(rollout / "steps/000006/generated/CAM_BACK.png")
+    done = run_masks(rollout, "--mask2former", mask2former)
+    assert done.stdout.startswith("2 of 6 masks written, 4 were there"), done.stderr
+    assert written[0].read_bytes() == before[written[0]]
+
+
+def test_masks_are_written_once_for_each_model(tmp_path):
+    from pskel.metrics.masks import write_masks
+
+    rollout = write_rollout(tmp_path / "rollout", 2)
+    calls = []
+
+    def segmentor(image):
+        calls.append(image.shape)
+        return image[..., 0] > 128
+
+    assert write_masks(rollout, tmp_path / "masks", segmentor, "stub") == (4, 4)
+    assert write_masks(rollout, tmp_path / "masks", segmentor, "stub") == (0, 4) and calls == [(32, 56, 3)] * 4
+    assert write_masks(rollout, tmp_path / "masks", segmentor, "another") == (4, 4)
+    image = np.asarray(Image.open(rollout / "steps/000004/generated/CAM_FRONT.png"))
+    np.testing.assert_array_equal(np.asarray(Image.open(tmp_path / "masks/000004/CAM_FRONT.png")) > 0, image[..., 0] > 128)
+    (tmp_path / "masks/000004/CAM_FRONT.png").write_text("mine")
+    with pytest.raises(ValueError, match="expected a mask to replace, found another file"):
+        write_masks(rollout, tmp_path / "masks", segmentor, "another")
+
+
+def test_wrong_segmentors_are_reported(tmp_path, mask2former):
+    rollout = write_rollout(tmp_path / "rollout", 2)
+    (tmp_path / "empty").mkdir()
+    shutil.copytree(mask2former, tmp_path / "classes")
+    config = json.loads((tmp_path / "classes/config.json").read_text())
+    config["id2label"] = {number: f"LABEL_{number}" for number in config["id2label"]}
+    config["label2id"] = {name: int(number) for number, name in config["id2label"].items()}
+    (tmp_path / "classes/config.json").write_text(json.dumps(config))
+    shutil.copytree(mask2former, tmp_path / "damaged")
+    (tmp_path / "damaged/model.safetensors").write_bytes(b"no weights")
+    for arguments, status, said in (
+        ([rollout, "--mask2former", tmp_path / "none"], 1, "expected a folder of Mask2Former with config.json, found none"),
+        ([rollout, "--mask2former", tmp_path / "empty"], 1, "expected a folder of Mask2Former with config.json, found none"),
+        ([rollout, "--mask2former", tmp_path / "classes"], 1, "expected the semantic classes of Cityscapes, found 19 others (label_0, "),
+        ([rollout, "--mask2former", tmp_path / "damaged"], 1, "expected a folder of Mask2Former, found another ("),
+        ([tmp_path / "empty", "--mask2former", mask2former], 1, "expected a rollout with generated images, found none"),
+        ([rollout, rollout, "--mask2former", mask2former, "--out", tmp_path / "out"], 2, "expected one ROLLOUT with --out, found 2"),
+    ):
+        done = run_masks(*arguments)
+        assert done.returncode == status and said in done.stderr, (arguments, done.stderr)
+        assert status == 2 or done.stderr.splitlines()[-1].startswith("pskel.metrics.masks: ")

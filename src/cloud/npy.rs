@@ -17,7 +17,6 @@ use super::{Point, PointFile};
 use crate::error::FileError;
 use crate::files::input::open_regular;
 use crate::files::write_whole;
-use crate::memory::{Need, reserve};
 
 /// Rows per block.
 const BLOCK_ROWS: usize = 1 << 16;
@@ -155,48 +154,6 @@ fn check_header(header: &NpyHeader, path: &Path) -> Result<(Scalar, u64, usize),
         return Err(FileError::content("1 to 4294967294 points", rows.to_string(), path));
     }
     Ok((scalar, rows, columns))
-}
-
-/// Reads features `[N, D]` of `f32` or `f64` (little-endian, C order). Returns D and the numbers in row-major
-/// order. The declared size is compared with the file's and with the memory before anything is allocated.
-///
-/// # Errors
-/// Fails if the file cannot be read, its dtype, shape or order is unsupported, data is missing, or memory is
-/// insufficient.
-pub fn read_features(path: &Path) -> Result<(usize, Vec<f64>), FileError> {
-    let (file, bytes) = open_regular(path)?;
-    let mut reader = BufReader::new(file);
-    let (header, header_bytes) = read_header(&mut reader, bytes, path)?;
-    let descr = header.dtype().descr();
-    let scalar = Scalar::from_descr(&descr).filter(|scalar| *scalar != Scalar::F16);
-    let scalar =
-        scalar.ok_or_else(|| FileError::content("dtype <f4 or <f8", format!("dtype {descr}"), path))?;
-    let (rows, columns) = match *header.shape() {
-        [rows, columns] if columns > 0 => (rows, columns),
-        _ => {
-            let found = format!("shape {:?}", header.shape());
-            return Err(FileError::content("features of shape [N, D]", found, path));
-        }
-    };
-    check_order(&header, path)?;
-    let needed = rows.checked_mul(columns).and_then(|count| count.checked_mul(scalar.bytes() as u64));
-    let left = bytes.saturating_sub(header_bytes);
-    let needed = needed.filter(|needed| *needed <= left).ok_or_else(|| {
-        let expected = format!("{rows} rows of {columns} numbers of {} bytes", scalar.bytes());
-        FileError::content(expected, format!("{left} bytes of data"), path)
-    })?;
-    let bytes = needed.saturating_add((size_of::<f64>() as u64).saturating_mul(rows * columns));
-    let _numbers = reserve(bytes, || Need {
-        what: format!("features of {rows} rows of {columns} numbers"),
-        bytes,
-        advice: "a file of fewer rows needs less",
-    })
-    .map_err(|error| FileError::io("read", path)(error.into()))?;
-    let mut data = vec![0; needed as usize];
-    reader.read_exact(&mut data).map_err(FileError::io("read", path))?;
-    let mut values = Vec::new();
-    scalar.widen(&data, &mut values);
-    Ok((columns as usize, values))
 }
 
 /// Writes points as `f32` `[N, 6]`, or `[N, 7]` with the class last.

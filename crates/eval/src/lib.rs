@@ -1,8 +1,8 @@
 //! Metrics of an image, a set of images, or a rollout of generated images.
 //!
 //! # How it works
-//! Leaf functions compare two images ([`psnr_db`], [`ssim`], [`sharpness`]), two masks ([`Overlap`]) or two
-//! sets of features ([`frechet_distance`]). [`RolloutScores`] takes the steps of a rollout, in memory, and
+//! Leaf functions compare two images ([`psnr_db`], [`ssim`], [`sharpness`]) or two masks ([`Overlap`]).
+//! [`RolloutScores`] takes the steps of a rollout, in memory, and
 //! computes a series per metric with its [`Drift`], and the [`Motion`] of actors. [`MeanInterval`] averages
 //! over rollouts. These read no files. [`evaluate`] scores the rollouts in folders, `fidelity` (feature
 //! `town`) compares maps with the ground truth of the synthetic town or with recorded images. [`protocol`]
@@ -15,8 +15,8 @@ mod drift;
 mod evaluate;
 #[cfg(feature = "town")]
 mod fidelity;
-mod frechet;
 mod images;
+mod networks;
 pub mod plot;
 pub mod protocol;
 mod scores;
@@ -32,13 +32,13 @@ pub use fidelity::{
     CameraRow, FidelityError, FidelityFiles, FidelityFrames, FidelityReport, FidelitySource, MaskRow, Row,
     Rows, fidelity,
 };
-pub use frechet::{FeatureSet, FrechetError, frechet_distance};
 pub use images::image_quality::{FilledError, compare_filled, psnr_db};
 pub use images::motion::{MOVING_MPS, Motion, MotionSums, MovingFrame, moving_mask};
 pub use images::seams::SeamSums;
 pub use images::sharpness::sharpness;
 pub use images::ssim::ssim;
+pub use networks::{Distance, MetricNetworks, NetworkError, NetworkPaths};
 pub use scores::{RolloutScores, ScoreError, ScoredFrame, Scores, Series, VehicleIou};
 pub use statistics::{MeanInterval, mean_interval, paired_difference};
 pub use vehicles::masks::Overlap;
-pub use vehicles::pseudo_label::{VEHICLE_CLASS, vehicle_mask};
+pub use vehicles::pseudo_label::{MaskRule, VEHICLE_CLASS, vehicle_mask};

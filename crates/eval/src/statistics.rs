@@ -10,6 +10,14 @@ pub struct MeanInterval {
     pub half_width: Option<f64>,
 }
 
+impl MeanInterval {
+    /// Returns the interval of values in another unit.
+    pub(crate) fn scaled(self, factor: f64) -> Self {
+        let half_width = self.half_width.map(|half_width| factor * half_width);
+        Self { mean: factor * self.mean, half_width, ..self }
+    }
+}
+
 /// Computes the mean of all finite values; `None` if there are none. The half width is `t·s/sqrt(n)`, with
 /// the unbiased standard deviation s and the 97.5 % quantile t for n - 1 degrees of freedom.
 pub fn mean_interval(values: &[f64]) -> Option<MeanInterval> {

@@ -3,11 +3,12 @@
 from .frechet import frechet_distance
 from .i3d import I3D, video_features
 from .inception import image_features, load_inception
-from .rollout import GeneratedVideo, read_reference, read_rollout
+from .images import GeneratedVideo, Video, read_reference, read_rollout
 
 __all__ = [
     "I3D",
     "GeneratedVideo",
+    "Video",
     "frechet_distance",
     "image_features",
     "load_inception",

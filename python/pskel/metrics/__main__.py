@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import argparse
+import json
 import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-import numpy as np
-
-from .frechet import frechet_distance
-from .i3d import I3D, video_features
-from .inception import image_features, load_inception
-from .rollout import read_reference, read_rollout
+from .cache import save_whole
+from .distances import ClipComparison, ImageComparison, compare_clips, compare_images, shorter
+from .images import videos_of
+from .networks import FeatureNetwork, Inception, Video3d
 
 _PROGRAM = "pskel.metrics"
 _LEAST_FRAMES = 10
@@ -45,7 +44,9 @@ def _parser() -> argparse.ArgumentParser:
         metavar="FOLDER",
         help="compare with these images in place of the ground truth, for rollouts off the log: rollouts with ground truth, or folders of images",
     )
-    parser.add_argument("--out", required=True, type=Path, metavar="DIR", help="folder for the NPY files and curve.csv")
+    parser.add_argument(
+        "--out", required=True, type=Path, metavar="DIR", help="folder for metrics.json, the NPY files, curve.csv and cached features"
+    )
     parser.add_argument("--inception", metavar="FILE", help="weights of torch-fidelity: pt_inception-2015-12-05-6726825d.pth")
     parser.add_argument("--i3d", metavar="FILE", help="weights of I3D with 400 classes: i3d_pretrained_400.pt")
     parser.add_argument("--frames", type=int, default=16, metavar="N", help="frames of a clip, and of a window (default: 16)")
@@ -55,97 +56,48 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _run(options: argparse.Namespace) -> None:
-    off_log = options.reference is not None
-    videos = [video for rollout in options.rollouts for video in read_rollout(rollout, truth=not off_log)]
-    compared = {"generated": [video.generated for video in videos]}
-    if off_log:
-        size = videos[0].generated.shape[1:3]
-        compared["reference"] = [video for folder in options.reference for video in read_reference(folder, size)]
-    else:
-        compared["truth"] = [video.truth for video in videos if video.truth is not None]
-    options.out.mkdir(parents=True, exist_ok=True)
-    curves: dict[str, dict[int, float]] = {}
+    videos = videos_of(options.rollouts, options.reference)
+    out, frames = options.out, options.frames
+    out.mkdir(parents=True, exist_ok=True)
+    results, curves = {}, {}
     if options.inception is not None:
-        network = load_inception(options.inception, options.device)
-        sets = {kind: [image_features(network, images) for images in some] for kind, some in compared.items()}
-        _write(options.out, "inception", "FID", sets)
-        curves["fid"] = _image_curve(sets, options.frames)
+        inception = Inception(options.inception, out / "cache", options.device)
+        images = compare_images(inception, videos, frames)
+        results["fid"], curves["fid"] = _write(out, inception, images), images.curve()
     if options.i3d is not None:
-        starts = {kind: [_starts(images, options) for images in some] for kind, some in compared.items()}
-        for kind, some in starts.items():
-            if not any(some):
-                longest = max(len(images) for images in compared[kind])
-                raise ValueError(f"expected a rollout of {options.frames} {kind} frames or more, found at most {longest}")
-        i3d = I3D.load(options.i3d, options.device)
-        sets = {
-            kind: [
-                video_features(i3d, [images[start : start + options.frames] for start in at])
-                for images, at in zip(compared[kind], some, strict=True)
-            ]
-            for kind, some in starts.items()
-        }
-        _write(options.out, "i3d", "FVD", sets)
-        curves["fvd"] = _clip_curve(sets, starts["generated"])
-    _write_curve(options.out / "curve.csv", curves)
+        i3d = Video3d(options.i3d, out / "cache", options.device)
+        clips = compare_clips(i3d, videos, frames, options.stride)
+        results["fvd"], curves["fvd"] = _write(out, i3d, clips), clips.curve()
+        for some in videos.values():
+            if note := shorter(some, frames):
+                print(f"note: {note}", file=sys.stderr)
+    _write_text(out / "curve.csv", _csv(curves))
+    _write_text(out / "metrics.json", json.dumps(results, indent=2) + "\n")
 
 
-def _starts(images: np.ndarray, options: argparse.Namespace) -> range:
-    """First frame of each clip in a video."""
-    return range(0, len(images) - options.frames + 1, options.stride)
+def _write(out: Path, network: FeatureNetwork, comparison: ImageComparison | ClipComparison) -> dict[str, object]:
+    """Write the features of all videos; prints and returns their distance."""
+    for kind, features in comparison.whole.items():
+        save_whole(out / f"{network.name}-{kind}.npy", features)
+    result = comparison.distance()
+    generated, other = (len(features) for features in comparison.whole.values())
+    counts = str(generated) if generated == other else f"{generated} and {other}"
+    print(f"{network.title} {result['distance']:.4f}, {counts} samples of {result['features']} features")
+    return result
 
 
-def _write(out: Path, network: str, name: str, sets: dict[str, list[np.ndarray]]) -> None:
-    whole = {kind: np.concatenate(features) for kind, features in sets.items()}
-    for kind, features in whole.items():
-        np.save(out / f"{network}-{kind}.npy", features)
-    generated, other = whole.values()
-    counts = f"{len(generated)} samples" if len(generated) == len(other) else f"{len(generated)} and {len(other)} samples"
-    print(f"{name} {frechet_distance(generated, other):.4f}, {counts} of {generated.shape[1]} features")
-
-
-def _image_curve(sets: dict[str, list[np.ndarray]], frames: int) -> dict[int, float]:
-    """Return the distance over the images of each frame window, by its first frame.
-
-    A window of generated images is compared with the ground truth at the same frames, or with all reference
-    images.
-    """
-    generated, truth = sets["generated"], sets.get("truth")
-    last = max(len(features) for features in generated) - frames
-
-    def window(features: list[np.ndarray], start: int) -> np.ndarray:
-        return np.concatenate([each[start : start + frames] for each in features])
-
-    if truth is not None:
-        return {start: frechet_distance(window(generated, start), window(truth, start)) for start in range(last + 1)}
-    whole = np.concatenate(sets["reference"])
-    return {start: frechet_distance(window(generated, start), whole) for start in range(last + 1)}
-
-
-def _clip_curve(sets: dict[str, list[np.ndarray]], starts: list[range]) -> dict[int, float]:
-    """Return the distance over the clips that begin at the same frame, by that frame, where there are two or more.
-
-    They are compared with the ground truth of the same frames, or with all reference clips.
-    """
-    generated, truth = sets["generated"], sets.get("truth")
-    curve = {}
-    for start in sorted({start for some in starts for start in some}):
-        which = [(number, some.index(start)) for number, some in enumerate(starts) if start in some]
-        if len(which) > 1:
-            clips = np.stack([generated[number][row] for number, row in which])
-            if truth is not None:
-                others = np.stack([truth[number][row] for number, row in which])
-            else:
-                others = np.concatenate(sets["reference"])
-            curve[start] = frechet_distance(clips, others)
-    return curve
-
-
-def _write_curve(path: Path, curves: dict[str, dict[int, float]]) -> None:
+def _csv(curves: dict[str, dict[int, float]]) -> str:
     rows = sorted({start for curve in curves.values() for start in curve})
     lines = [",".join(["first_frame", *curves])]
     for start in rows:
         lines.append(",".join([str(start), *(repr(curve[start]) if start in curve else "" for curve in curves.values())]))
-    path.write_text("\n".join(lines) + "\n")
+    return "\n".join(lines) + "\n"
+
+
+def _write_text(path: Path, text: str) -> None:
+    partial = path.with_name(f".{path.name}.partial")
+    partial.write_text(text)
+    partial.replace(path)
 
 
 if __name__ == "__main__":

@@ -23,15 +23,18 @@ def frechet_distance(a: ArrayLike, b: ArrayLike) -> float:
             raise ValueError(f"expected features [N, D] and [M, D] with N and M of 2 or more, found {found}")
         if not np.isfinite(features).all():
             raise ValueError("expected finite features, found others")
-    covariances = [np.atleast_2d(np.cov(features, rowvar=False)) for features in (first, second)]
     difference = first.mean(0) - second.mean(0)
-    # The square roots of the eigenvalues of A B are the singular values of A^½ B^½.
-    halves = [_root(covariance) for covariance in covariances]
-    shared = np.linalg.svd(halves[0] @ halves[1], compute_uv=False).sum()
-    return float(difference @ difference + sum(np.trace(covariance) for covariance in covariances) - 2 * shared)
+    factors = [_factor(features) for features in (first, second)]
+    # With A = XᵀX and B = YᵀY, the square roots of the eigenvalues of A B are the singular values of X Yᵀ.
+    shared = np.linalg.svd(factors[0] @ factors[1].T, compute_uv=False).sum()
+    traces = sum((factor**2).sum() for factor in factors)
+    return float(difference @ difference + traces - 2 * shared)
 
 
-def _root(covariance: np.ndarray) -> np.ndarray:
-    values, vectors = np.linalg.eigh(covariance)
-    root: np.ndarray = (vectors * np.sqrt(np.clip(values, 0, None))) @ vectors.T
-    return root
+def _factor(features: np.ndarray) -> np.ndarray:
+    """Return X with the sample covariance XᵀX, with at most as many rows as columns."""
+    deviations: np.ndarray = (features - features.mean(0)) / np.sqrt(len(features) - 1)
+    if len(deviations) <= deviations.shape[1]:
+        return deviations
+    triangle: np.ndarray = np.linalg.qr(deviations, mode="r")
+    return triangle

@@ -3,6 +3,8 @@ use std::path::Path;
 
 use point_skeleton::error::FileError;
 
+use crate::NetworkError;
+
 /// Error of scoring rollouts.
 #[derive(Debug, thiserror::Error)]
 pub enum EvaluateError {
@@ -14,10 +16,13 @@ pub enum EvaluateError {
         /// Number of mask folders.
         found: usize,
     },
+    /// A network for metrics failed.
+    #[error("{0}")]
+    Network(#[from] NetworkError),
     /// A file is missing or damaged.
     #[error("{0}")]
     File(#[from] FileError),
-    /// Images, features or masks do not fit.
+    /// Images or masks do not fit.
     #[error("{source}: {place}")]
     At {
         /// Cause.

@@ -1,8 +1,7 @@
 //! Scores generated images of rollouts against ground truth. `rollout` reads a rollout and masks of its
-//! vehicles, `features` reads features of other networks, `report` has the results.
+//! vehicles, `report` has the results.
 
 mod error;
-mod features;
 mod picture;
 mod report;
 mod rollout;
@@ -14,7 +13,7 @@ use std::path::{Path, PathBuf};
 
 use self::report::ScoredRollout;
 use self::rollout::GeneratedRollout;
-use crate::{RolloutScores, ScoredFrame, Scores};
+use crate::{MaskRule, RolloutScores, ScoredFrame, Scores};
 
 /// Rollouts to score, and further inputs.
 #[derive(Clone, Debug, Default)]
@@ -23,8 +22,8 @@ pub struct EvaluateOptions {
     pub rollouts: Vec<PathBuf>,
     /// Folders with vehicle masks of a segmentor, `NNNNNN/CAM.png`: one per rollout, or none.
     pub masks: Vec<PathBuf>,
-    /// Features of a network for generated and for ground-truth images, NPY files `[N, D]`.
-    pub features: Option<[PathBuf; 2]>,
+    /// How the masks of vehicles are computed from class maps.
+    pub mask_rule: MaskRule,
     /// Scores only every N-th frame, N - 1, 2 N - 1, ..: those that a training with the same number left out.
     pub hold_out: Option<usize>,
     /// Folder that the report names rollouts relative to; those outside are named as given.
@@ -42,12 +41,10 @@ pub fn evaluate(
     on_start: &mut dyn FnMut(usize),
     on_step: &mut dyn FnMut(&str),
 ) -> Result<Report, EvaluateError> {
-    let EvaluateOptions { rollouts, masks, features, hold_out, root } = options;
+    let EvaluateOptions { rollouts, masks, mask_rule, hold_out, root } = options;
     if !masks.is_empty() && masks.len() != rollouts.len() {
         return Err(EvaluateError::Masks { rollouts: rollouts.len(), found: masks.len() });
     }
-    let features = features.as_ref().map(|[generated, truth]| features::distance(generated, truth));
-    let features = features.transpose()?;
     let open = |folder: &PathBuf| GeneratedRollout::open(folder);
     let mut rollouts = rollouts.iter().map(open).collect::<Result<Vec<_>, _>>()?;
     if let Some(every) = *hold_out {
@@ -56,22 +53,23 @@ pub fn evaluate(
     on_start(rollouts.iter().map(|rollout| rollout.steps.len()).sum());
     let mut scored = Vec::new();
     for (number, rollout) in rollouts.iter().enumerate() {
-        let scores = score(rollout, masks.get(number).map(PathBuf::as_path), on_step)?;
+        let masks = masks.get(number).map(|folder| (folder.as_path(), *mask_rule));
+        let scores = score(rollout, masks, on_step)?;
         scored.push(ScoredRollout::new(rollout, root.as_deref(), scores));
     }
-    Ok(Report::new(scored, features))
+    Ok(Report::new(scored))
 }
 
 /// Scores all steps of a rollout.
 fn score(
     rollout: &GeneratedRollout,
-    masks: Option<&Path>,
+    masks: Option<(&Path, MaskRule)>,
     on_step: &mut dyn FnMut(&str),
 ) -> Result<Scores, EvaluateError> {
-    let mut scores = RolloutScores::default();
+    let mut scores = RolloutScores::new(masks.map_or(MaskRule::default(), |(_, rule)| rule));
     for step in &rollout.steps {
         let frame = rollout.read(step)?;
-        let masks = masks.map(|folder| rollout.masks(step, folder)).transpose()?;
+        let masks = masks.map(|(folder, _)| rollout.masks(step, folder)).transpose()?;
         let scored = ScoredFrame {
             t_s: step.t_s,
             generated: &frame.generated,

@@ -8,7 +8,6 @@ use crate::{MeanInterval, Scores, mean_interval};
 use point_skeleton::files::{FileKind, FileName};
 use serde::Serialize;
 
-use super::features::Distance;
 use super::rollout::GeneratedRollout;
 
 /// All results.
@@ -16,8 +15,6 @@ use super::rollout::GeneratedRollout;
 pub struct Report {
     /// Means over rollouts, by metric name; `null` if no rollout has the metric.
     mean: BTreeMap<String, Option<MeanInterval>>,
-    /// Fréchet distance of the given features.
-    given_features: Option<Distance>,
     notes: Vec<String>,
     rollouts: Vec<ScoredRollout>,
 }
@@ -95,9 +92,9 @@ pub const SCORES: FileKind =
     FileKind { name: "scores of pskel evaluate", begin: b"{\n  \"mean\": {\n    \"flicker\": ", marks: &[] };
 
 impl Report {
-    pub(super) fn new(rollouts: Vec<ScoredRollout>, given_features: Option<Distance>) -> Self {
+    pub(super) fn new(rollouts: Vec<ScoredRollout>) -> Self {
         let notes = rollouts.iter().flat_map(ScoredRollout::notes).collect();
-        Self { mean: means(&rollouts), given_features, notes, rollouts }
+        Self { mean: means(&rollouts), notes, rollouts }
     }
 
     /// Returns notes on missing metrics, with reasons.
@@ -113,6 +110,11 @@ impl Report {
     /// Returns the number of scored steps of all rollouts.
     pub fn steps(&self) -> usize {
         self.rollouts.iter().map(|rollout| rollout.scores.steps).sum()
+    }
+
+    /// Returns whether every scored step has ground truth.
+    pub(crate) fn has_truth(&self) -> bool {
+        self.rollouts.iter().all(|rollout| rollout.scores.steps_with_truth == rollout.scores.steps)
     }
 
     /// Formats a row per rollout, and one with their means and intervals.
@@ -132,11 +134,8 @@ impl Report {
     pub fn summary(&self) -> String {
         let images: usize = self.rollouts.iter().map(|r| r.scores.steps * r.scores.cameras).sum();
         let count = self.rollouts.len();
-        let given = self.given_features.map_or_else(String::new, |given| {
-            format!(", Fréchet distance of given features {:.3}", given.distance)
-        });
         format!(
-            "scored {images} images of {count} rollout{}: PSNR {} dB{given}",
+            "scored {images} images of {count} rollout{}: PSNR {} dB",
             if count == 1 { "" } else { "s" },
             interval(self.mean("psnr_db"), 2),
         )

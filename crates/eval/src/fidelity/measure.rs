@@ -1,6 +1,8 @@
 use std::collections::BTreeMap;
 
-use crate::{DepthErrors, DepthSummary, FilledError, Overlap, compare_filled};
+use crate::{
+    DepthErrors, DepthSummary, FilledError, MaskRule, Overlap, VEHICLE_CLASS, compare_filled, vehicle_mask,
+};
 use glam::{DVec2, DVec3};
 use point_skeleton::conditions::{CameraConditions, ConditionOptions, ImageSize, MapKind, MapSet, reduce};
 use point_skeleton::dataset::{Area, Class, LogReader, VectorMap};
@@ -60,6 +62,8 @@ enum Masks {
 struct MaskSums {
     /// By class, without class 0.
     classes: [Overlap; 4],
+    /// Masks of vehicles by [`MaskRule`].
+    vehicles: [Overlap; MaskRule::ALL.len()],
     near_cars: Overlap,
 }
 
@@ -89,6 +93,8 @@ pub struct Row {
 pub struct MaskRow {
     /// By class.
     pub classes: BTreeMap<&'static str, Option<f64>>,
+    /// Masks of vehicles as `evaluate` computes them, by [`MaskRule`].
+    pub vehicles: BTreeMap<&'static str, Option<f64>>,
     /// Cars within 40 m.
     pub near_cars: Option<f64>,
 }
@@ -159,13 +165,19 @@ impl MaskSums {
         for (number, overlap) in (1..).zip(&mut self.classes) {
             overlap.add_maps((class, |c| *c == number), (&truth.class, |c| *c == number));
         }
+        let vehicles: Vec<bool> = truth.class.iter().map(|class| *class == VEHICLE_CLASS).collect();
+        for (rule, overlap) in MaskRule::ALL.into_iter().zip(&mut self.vehicles) {
+            overlap.add_masks(&vehicle_mask(class, truth.width, rule), &vehicles);
+        }
         let is_near = |instance: &u32| near.get(*instance as usize).copied().unwrap_or(false);
         self.near_cars.add_maps((instance, is_near), (&truth.instance, is_near));
     }
 
     fn row(&self) -> MaskRow {
         let classes = CLASS_NAMES.into_iter().zip(self.classes.map(|overlap| overlap.iou())).collect();
-        MaskRow { classes, near_cars: self.near_cars.iou() }
+        let rules = MaskRule::ALL.map(MaskRule::name).into_iter();
+        let vehicles = rules.zip(self.vehicles.map(|overlap| overlap.iou())).collect();
+        MaskRow { classes, vehicles, near_cars: self.near_cars.iou() }
     }
 }
 
@@ -185,6 +197,7 @@ pub(super) fn mean(errors: &[FilledError]) -> FilledError {
 
 /// Ground truth at the size of the maps.
 struct TrueMaps {
+    width: usize,
     color: Vec<[u8; 3]>,
     depth_m: Vec<f32>,
     class: Vec<u8>,
@@ -197,6 +210,7 @@ impl TrueMaps {
         let from = ImageSize { height: seen.image.height(), width: seen.image.width() };
         let color: Vec<[u8; 3]> = seen.image.pixels().map(|p| p.0).collect();
         Self {
+            width: to.width as usize,
             color: reduce::bilinear(&color, from, to),
             depth_m: reduce::nearest(&seen.depth_m, from, to),
             class: reduce::nearest(&seen.class, from, to),

@@ -3,11 +3,11 @@
 use super::measure::{MaskRow, Row};
 use super::recorded::CameraRow;
 use super::{FidelityReport, Rows};
-use crate::FilledError;
 use crate::table::{aligned, markdown, number};
+use crate::{FilledError, MaskRule};
 use point_skeleton::files::FileKind;
 
-const POSE_HEADER: [&str; 14] = [
+const POSE_HEADER: [&str; 16] = [
     "pose",
     "images",
     "PSNR (dB)",
@@ -17,6 +17,8 @@ const POSE_HEADER: [&str; 14] = [
     "depth median (%)",
     "depth 95 % (%)",
     "IoU vehicles",
+    "mask rule closing",
+    "mask rule paper",
     "IoU people",
     "IoU cycles",
     "IoU cars < 40 m",
@@ -98,6 +100,7 @@ fn camera_row(row: &CameraRow) -> Vec<String> {
 
 fn pose_row(row: &Row) -> Vec<String> {
     let iou = |masks: &MaskRow, class: &str| number(masks.classes.get(class).copied().flatten(), 3);
+    let by_rule = |rule: MaskRule| number(row.rendered.vehicles.get(rule.name()).copied().flatten(), 3);
     let near = |masks: &MaskRow| number(masks.near_cars, 3);
     let depth = |of: fn(&crate::DepthSummary) -> f32| row.depth.as_ref().map(|d| f64::from(of(d)));
     vec![
@@ -110,6 +113,8 @@ fn pose_row(row: &Row) -> Vec<String> {
         number(depth(|d| 100.0 * d.median_relative), 2),
         number(depth(|d| 100.0 * d.p95_relative), 1),
         iou(&row.rendered, "motor_vehicle"),
+        by_rule(MaskRule::Closing),
+        by_rule(MaskRule::Paper),
         iou(&row.rendered, "pedestrian"),
         iou(&row.rendered, "cycle"),
         near(&row.rendered),

@@ -17,6 +17,6 @@ mod simgen;
 
 pub use clips::{Clip, ClipClock, ShortLog};
 pub use definition::{Length, Part, PartRates, Protocol};
-pub use report::{PartRollouts, ProtocolReport};
+pub use report::{PartRollouts, ProtocolReport, ScoreOptions};
 pub use settings::check_settings;
 pub use simgen::{SIMGEN, SIMGEN_FORMAT};

@@ -6,8 +6,13 @@ use pskel_sim::rollout::METRICS;
 use serde::{Deserialize, Serialize};
 
 use super::definition::{Part, Protocol};
-use crate::table::{interval, markdown};
-use crate::{EvaluateError, EvaluateOptions, MeanInterval, Report, evaluate, mean_interval};
+use crate::networks::Distances;
+use crate::table::{interval, markdown, number};
+use crate::{
+    Distance, EvaluateError, EvaluateOptions, MaskRule, MeanInterval, MetricNetworks, NetworkPaths, Report,
+    evaluate, mean_interval,
+};
+use pskel_sim::EgoPolicy;
 
 /// Metrics of generated images: name in [`Report::mean`], column, digits.
 const COLUMNS: [(&str, &str, usize); 6] = [
@@ -30,11 +35,25 @@ pub struct PartRollouts {
     pub frames: usize,
 }
 
+/// How rollouts are scored.
+pub struct ScoreOptions<'a> {
+    /// Folder that contains all rollouts.
+    pub root: &'a Path,
+    /// Networks for FID, FVD and masks of vehicles.
+    pub networks: MetricNetworks,
+    /// How the masks of vehicles are computed from class maps.
+    pub mask_rule: MaskRule,
+    /// Folder for features and masks.
+    pub cache: &'a Path,
+}
+
 /// Results of a protocol.
 #[derive(Debug, Serialize)]
 pub struct ProtocolReport {
     protocol: &'static str,
     logs: Logs,
+    networks: NetworkPaths,
+    mask_rule: MaskRule,
     parts: Vec<PartReport>,
 }
 
@@ -57,6 +76,10 @@ struct PartReport {
     /// Number of frames to generate.
     frames: usize,
     driving: Driving,
+    fid: Option<Distance>,
+    fvd: Option<Distance>,
+    /// Reasons of missing distances.
+    notes: Vec<String>,
     images: Report,
 }
 
@@ -82,53 +105,116 @@ struct OffRoad {
 }
 
 impl ProtocolReport {
-    /// Scores the rollouts of all parts in the folder `root`; `logs` are the names of their logs. `on_start`
-    /// and `on_step` are passed to [`evaluate`] for each part.
+    /// Scores the rollouts of all parts; `logs` are the names of their logs. `on_start` and `on_step` are
+    /// passed to [`evaluate`] for each part.
     ///
     /// # Errors
-    /// Fails as [`evaluate`], and if the metrics of a rollout cannot be read.
+    /// Fails as [`evaluate`], if the metrics of a rollout cannot be read, or if a network fails.
     pub fn score(
         protocol: Protocol,
         logs: &[String],
-        (root, parts): (&Path, &[PartRollouts]),
+        parts: &[PartRollouts],
+        options: ScoreOptions<'_>,
         on_start: &mut dyn FnMut(usize),
         on_step: &mut dyn FnMut(&str),
     ) -> Result<Self, EvaluateError> {
         let defined = protocol.logs();
         let present = logs.iter().filter(|log| defined.contains(log)).count();
         let logs = Logs { defined: defined.len(), present, other: logs.len() - present };
+        let ScoreOptions { root, mut networks, mask_rule, cache } = options;
+        let recorded = parts.iter().find(|part| part.part.ego == EgoPolicy::Replay);
+        let recorded = recorded.map(|part| part.folders.as_slice());
         let mut reports = Vec::new();
         for PartRollouts { part, folders: rollouts, frames } in parts {
-            let (folders, root) = (rollouts.clone(), Some(root.to_owned()));
-            let options = EvaluateOptions { rollouts: folders, root, ..EvaluateOptions::default() };
-            let driving = Driving::read(rollouts)?;
-            let images = evaluate(&options, on_start, on_step)?;
+            let masks = write_masks(&mut networks, rollouts, (root, cache))?;
+            let (rollouts, root) = (rollouts.clone(), Some(root.to_owned()));
+            let evaluated =
+                EvaluateOptions { rollouts, masks, mask_rule, root, ..EvaluateOptions::default() };
+            let images = evaluate(&evaluated, on_start, on_step)?;
+            let rollouts = evaluated.rollouts;
+            let driving = Driving::read(&rollouts)?;
+            let Distances { fid, fvd, notes } =
+                distances(&mut networks, &rollouts, &images, recorded, cache)?;
             let (name, clips, frames) = (part.name, rollouts.len(), *frames);
-            reports.push(PartReport { name, clips, frames, driving, images });
+            reports.push(PartReport { name, clips, frames, driving, fid, fvd, notes, images });
         }
-        Ok(Self { protocol: protocol.name(), logs, parts: reports })
+        let networks = networks.paths().clone();
+        Ok(Self { protocol: protocol.name(), logs, networks, mask_rule, parts: reports })
+    }
+
+    /// Returns notes on missing distances, with the names of their parts.
+    pub fn notes(&self) -> impl Iterator<Item = String> {
+        self.parts.iter().flat_map(|part| part.notes.iter().map(move |note| format!("{}: {note}", part.name)))
     }
 
     /// Formats a row per part as Markdown, with means and 95 % confidence intervals over clips.
     pub fn table(&self) -> String {
         let columns = COLUMNS.map(|(_, column, _)| column);
         let header = [self.protocol, "clips", "frames"].into_iter().chain(columns);
-        let header = header.chain(["at-fault collisions", "off-road share"]).map(str::to_owned);
+        let header = header.chain(["FID", "FVD", "IoU (%)", "at-fault collisions", "off-road share"]);
+        let header = header.map(str::to_owned);
         let row = |part: &PartReport| -> Vec<String> {
-            let PartReport { name, clips, frames, driving, images } = part;
+            let PartReport { name, clips, frames, driving, fid, fvd, images, .. } = part;
             let generated = match images.steps() {
                 all if all == *frames => all.to_string(),
                 fewer => format!("{fewer} of {frames}"),
             };
             let means = COLUMNS.map(|(metric, _, digits)| interval(images.mean(metric), digits));
+            let [fid, fvd] = [fid, fvd].map(|found| number(found.map(|found| found.distance), 2));
+            let iou = images.mean("iou_masks").map(|iou| iou.scaled(100.0));
             let Driving { at_fault_collisions, off_road_share } = driving;
             let last = [at_fault_collisions.to_string(), interval(*off_road_share, 3)];
             let first = [(*name).to_owned(), clips.to_string(), generated];
-            first.into_iter().chain(means).chain(last).collect()
+            first.into_iter().chain(means).chain([fid, fvd, interval(iou, 1)]).chain(last).collect()
         };
         let cells: Vec<_> = std::iter::once(header.collect()).chain(self.parts.iter().map(row)).collect();
-        markdown(&cells) + "\n" + &self.logs.sentence() + "\n"
+        let NetworkPaths { inception, i3d, segmentor, .. } = &self.networks;
+        let columns = [
+            ("FID needs --inception", inception.is_none()),
+            ("FVD needs --i3d", i3d.is_none()),
+            ("IoU needs --segmentor", segmentor.is_none()),
+        ];
+        let missing: Vec<&str> =
+            columns.into_iter().filter(|(_, is_missing)| *is_missing).map(|(text, _)| text).collect();
+        let missing = if missing.is_empty() { String::new() } else { format!(" {}.", missing.join(", ")) };
+        markdown(&cells) + "\n" + &self.logs.sentence() + &missing + "\n"
     }
+}
+
+/// Writes the masks of the vehicles in all rollouts below `root`. Returns their folders; none without a
+/// segmentor.
+fn write_masks(
+    networks: &mut MetricNetworks,
+    rollouts: &[PathBuf],
+    (root, cache): (&Path, &Path),
+) -> Result<Vec<PathBuf>, EvaluateError> {
+    if networks.paths().segmentor.is_none() {
+        return Ok(Vec::new());
+    }
+    let write = |rollout: &PathBuf| {
+        let out = cache.join("masks").join(rollout.strip_prefix(root).unwrap_or(rollout));
+        networks.masks(rollout, &out)?;
+        Ok(out)
+    };
+    rollouts.iter().map(write).collect()
+}
+
+/// Compares the images of rollouts with their ground truth, or, off the log, with the ground truth of the
+/// `recorded` rollouts, which follow the log.
+fn distances(
+    networks: &mut MetricNetworks,
+    rollouts: &[PathBuf],
+    images: &Report,
+    recorded: Option<&[PathBuf]>,
+    cache: &Path,
+) -> Result<Distances, EvaluateError> {
+    let NetworkPaths { inception, i3d, .. } = networks.paths();
+    let references = if images.has_truth() { None } else { recorded };
+    if references.is_none() && !images.has_truth() && (inception.is_some() || i3d.is_some()) {
+        let note = "no FID and FVD: without ground truth they need the images of a part that follows the log";
+        return Ok(Distances { notes: vec![note.to_owned()], ..Distances::default() });
+    }
+    Ok(networks.distances(rollouts, references, &cache.join("features"))?)
 }
 
 impl Logs {

@@ -13,7 +13,7 @@ use rayon::prelude::*;
 
 pub use self::frame::{ScoreError, ScoredFrame};
 pub use self::result::{Scores, Series, VehicleIou};
-use super::{Overlap, SeamSums, psnr_db, vehicle_mask};
+use super::{MaskRule, Overlap, SeamSums, psnr_db, vehicle_mask};
 use crate::images::motion::{MotionSums, MovingFrame};
 use crate::images::sharpness::sharpness;
 use crate::images::ssim::ssim;
@@ -24,6 +24,7 @@ const SEAM_SIDES: [usize; 2] = [4, 8];
 /// Scores a rollout of generated images step by step, in memory.
 #[derive(Clone, Debug, Default)]
 pub struct RolloutScores {
+    mask_rule: MaskRule,
     /// Width and height per camera.
     sizes: Option<Vec<(u32, u32)>>,
     t_s: Vec<f64>,
@@ -78,6 +79,11 @@ impl CameraScores {
 }
 
 impl RolloutScores {
+    /// Starts with no step. `mask_rule`: how the masks of vehicles are computed from class maps.
+    pub fn new(mask_rule: MaskRule) -> Self {
+        Self { mask_rule, ..Self::default() }
+    }
+
     /// Adds the next step. The value of a step is the mean over its cameras.
     ///
     /// # Errors
@@ -157,7 +163,7 @@ impl RolloutScores {
         let mut step = Overlap::default();
         let images = frame.class.unwrap_or_default().iter().zip(frame.generated).zip(masks);
         for ((class, image), mask) in images {
-            step.add_masks(&vehicle_mask(class, image.width() as usize), mask);
+            step.add_masks(&vehicle_mask(class, image.width() as usize, self.mask_rule), mask);
         }
         let (all, steps) = self.masked.get_or_insert_default();
         steps.resize(self.t_s.len(), None); // pads the steps without masks

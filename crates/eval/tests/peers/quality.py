@@ -1,4 +1,4 @@
-"""Generates quality.json: metrics of images and features by NumPy, SciPy and OpenCV, the references for src/metrics.
+"""Generates quality.json: metrics of images by NumPy, SciPy and OpenCV, the references for src/metrics.
 
 Run: python3 tests/peers/quality.py  (numpy 2.4, scipy 1.17, opencv-python 5.0)
 """
@@ -8,7 +8,6 @@ import pathlib
 
 import cv2
 import numpy as np
-from scipy.linalg import sqrtm
 from scipy.signal import convolve2d
 from scipy.stats import t as student_t
 
@@ -53,20 +52,6 @@ def sharpness(a):
     return np.hypot(dx, dy).mean()
 
 
-def features(rows, columns, start):
-    v = levels(rows * columns, start).astype(float).reshape(rows, columns) / 255
-    # Correlated columns of different variance.
-    v *= 1 + np.arange(columns) % 4
-    v[:, 1:] += 0.5 * v[:, :-1]
-    return v
-
-
-def frechet(a, b):
-    ca, cb = np.cov(a, rowvar=False), np.cov(b, rowvar=False)
-    root = sqrtm(sqrtm(ca) @ cb @ sqrtm(ca))
-    return float(np.sum((a.mean(0) - b.mean(0)) ** 2) + np.trace(ca) + np.trace(cb) - 2 * np.trace(root).real)
-
-
 images = []
 for h, w, start, other, smooth in [(32, 56, 0, 7, 9), (32, 56, 3, 5, 2), (11, 11, 1, 2, 4), (17, 40, 0, 9, 30)]:
     a, b = image(h, w, start, smooth), image(h, w, other, smooth)
@@ -74,16 +59,15 @@ for h, w, start, other, smooth in [(32, 56, 0, 7, 9), (32, 56, 3, 5, 2), (11, 11
         "size": [h, w], "starts": [start, other], "smooth": smooth,
         "psnr_db": psnr(a, b), "ssim": ssim(a, b), "sharpness": sharpness(a),
     })
-sets = []
-for n, m, d in [(40, 30, 6), (100, 90, 16), (10, 12, 16), (5, 40, 8)]:
-    sets.append({"rows": [n, m], "columns": d, "distance": frechet(features(n, d, 0), features(m, d, 50_000))})
 masks = []
-for h, w in [(12, 20), (5, 7), (1, 6)]:
+for h, w in [(12, 20), (5, 7), (1, 6), (6, 1)]:
     mask = (levels(h * w, 4) > 190).astype(np.uint8).reshape(h, w)
     # OpenCV restricts both steps to the image; with pixels around it, the closing is that of an unbounded mask.
     closed = cv2.morphologyEx(np.pad(mask, 2), cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8))[2:-2, 2:-2]
-    masks.append({"size": [h, w], "class": mask.ravel().tolist(), "mask": closed.ravel().tolist()})
+    blurred = cv2.GaussianBlur(255 * mask, (3, 3), 0) > 127
+    lists = {"class": mask, "closed": closed, "blurred": blurred.astype(int)}
+    masks.append({"size": [h, w], **{name: each.ravel().tolist() for name, each in lists.items()}})
 t = {str(n): float(student_t.ppf(0.975, n)) for n in [1, 2, 7, 30, 31, 45, 300]}
-out = {"images": images, "sets": sets, "masks": masks, "student_t": t}
+out = {"images": images, "masks": masks, "student_t": t}
 path = pathlib.Path(__file__).with_name("quality.json")
 path.write_text(json.dumps(out, separators=(",", ":")) + "\n")

@@ -14,11 +14,10 @@ use crate::check::assert_names_file;
 use crate::edits::json_file;
 use crate::{Seed, Target};
 
-pub(super) const TARGETS: [Target; 6] = [
+pub(super) const TARGETS: [Target; 5] = [
     Target { name: "sweep_bin", run: sweep_bin, seeds: sweep_bin_seeds, max_len: 4096, memory: SMALL },
     Target { name: "sweep_pcd", run: sweep_pcd, seeds: sweep_pcd_seeds, max_len: 4096, memory: SMALL },
     Target { name: "npy", run: read_npy, seeds: npy_seeds, max_len: 8192, memory: SMALL },
-    Target { name: "features", run: features, seeds: features_seeds, max_len: 8192, memory: SMALL },
     Target { name: "ply", run: read_ply, seeds: ply_seeds, max_len: 8192, memory: SMALL },
     Target { name: "cameras", run: read_cameras, seeds: cameras_seeds, max_len: 8192, memory: SMALL },
 ];
@@ -173,25 +172,6 @@ fn points<E: std::fmt::Debug>(path: &Path, data: &[u8], write: impl Fn(&Path, &[
 
 fn some_points() -> Vec<Point> {
     (0..20_u8).map(|i| Point::new([f32::from(i), -0.25, 7.0], [i, 3, 255 - i], i % 5)).collect()
-}
-
-fn features(data: &[u8]) {
-    let path = file("f.npy", data);
-    match npy::read_features(&path) {
-        Err(error) => assert_names_file(error, &path, data),
-        Ok((columns, values)) => {
-            assert!(columns > 0 && values.len().is_multiple_of(columns) && 4 * values.len() <= data.len());
-        }
-    }
-}
-
-fn features_seeds() -> Vec<Seed> {
-    let table = |descr: &str, bytes: usize| {
-        let text = format!("{{'descr': '{descr}', 'fortran_order': False, 'shape': (3, 2), }}\n");
-        let length = (text.len() as u16).to_le_bytes();
-        [&b"\x93NUMPY\x01\x00"[..], &length, text.as_bytes(), &vec![60; 6 * bytes]].concat()
-    };
-    vec![seed("f4", table("<f4", 4)), seed("f8", table("<f8", 8))]
 }
 
 fn read_cameras(data: &[u8]) {

@@ -12,7 +12,8 @@ use point_skeleton::geometry::ImageSize;
 use point_skeleton::raster::{MapKind, MapSet, RasterizerDesc, RasterizerKind};
 use point_skeleton::skeleton::Skeleton;
 use point_skeleton::{RenderOptions, Renderer};
-use pskel_eval::protocol::{PartRollouts, Protocol, ProtocolReport, check_settings};
+use pskel_eval::protocol::{PartRollouts, Protocol, ProtocolReport, ScoreOptions, check_settings};
+use pskel_eval::{MaskRule, MetricNetworks, NetworkPaths};
 use pskel_generate::{CopiedLog, DatasetCopy};
 use pskel_sim::report::images::StepImages;
 use pskel_sim::rollout::{
@@ -204,7 +205,21 @@ fn score(data: &[u8]) {
         let part = Protocol::NuscenesVal.parts().remove(1);
         let parts = [PartRollouts { part, folders: vec![root.join("rollout")], frames: STEPS }];
         let logs = ["made".to_owned()];
-        match ProtocolReport::score(Protocol::NuscenesVal, &logs, (root, &parts), &mut |_| (), &mut |_| ()) {
+        let options = ScoreOptions {
+            root,
+            networks: MetricNetworks::new(NetworkPaths::default()),
+            mask_rule: MaskRule::default(),
+            cache: &root.join("metrics"),
+        };
+        let mut ignore = (|_: usize| (), |_: &str| ());
+        match ProtocolReport::score(
+            Protocol::NuscenesVal,
+            &logs,
+            &parts,
+            options,
+            &mut ignore.0,
+            &mut ignore.1,
+        ) {
             Err(error) => short(&error.to_string(), data),
             Ok(report) => assert!(report.table().contains("0 of its 150 logs, 1 others")),
         }

@@ -5,6 +5,8 @@ pub(crate) mod frames;
 pub(crate) mod generator;
 pub(crate) mod log;
 pub(crate) mod maps;
+#[cfg(feature = "network")]
+pub(crate) mod metrics;
 pub(crate) mod names;
 pub(crate) mod numbers;
 pub(crate) mod outputs;

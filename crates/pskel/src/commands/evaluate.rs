@@ -6,9 +6,10 @@ use std::time::Instant;
 
 use clap::Args;
 use point_skeleton::files::Inputs;
-use pskel_eval::{EvaluateError, EvaluateOptions, SCORES, evaluate};
+use pskel_eval::{EvaluateError, EvaluateOptions, MaskRule, SCORES, evaluate};
 
 use crate::args::frames::HoldOutArgs;
+use crate::args::names::names;
 use crate::args::outputs;
 use crate::progress::Progress;
 use crate::{WrongUsage, print_progress, print_result};
@@ -17,8 +18,8 @@ use crate::{WrongUsage, print_progress, print_result};
 ///
 /// For each rollout of simulate --generator: PSNR, SSIM and sharpness by step with their drift, motion of
 /// moving actors, and the IoU of vehicles in class maps and in given masks of the images. For all rollouts:
-/// means with 95 % confidence intervals over rollouts, and the Fréchet distance of given features.
-/// Reference images are not scored. Metrics whose ground truth or maps are missing are null.
+/// means with 95 % confidence intervals over rollouts. Reference images are not scored. Metrics whose ground
+/// truth or maps are missing are null. FID and FVD: `pskel protocol` and `python -m pskel.metrics`.
 #[derive(Debug, Args)]
 pub(crate) struct EvaluateArgs {
     /// Folders of rollouts with generated images
@@ -27,14 +28,13 @@ pub(crate) struct EvaluateArgs {
     /// Also write all numbers to this file
     #[arg(long, value_name = "F.json")]
     out: Option<PathBuf>,
-    /// Vehicle masks of a segmentor, in DIR/NNNNNN/CAM.png of any size, vehicles not 0; once for each
-    /// rollout, in order
+    /// Vehicle masks, as `python -m pskel.metrics.masks` writes them: DIR/NNNNNN/CAM.png of any size, vehicles
+    /// not 0; once for each rollout, in order
     #[arg(long, value_name = "DIR")]
     masks: Vec<PathBuf>,
-    /// Also compute the Fréchet distance of features, as `python -m pskel.metrics` writes them: NPY files of
-    /// f32 or f64 [N, D], for generated and for ground-truth images
-    #[arg(long, value_names = ["GEN.npy", "TRUE.npy"], num_args = 2)]
-    features: Vec<PathBuf>,
+    /// How the masks of vehicles are computed from class maps
+    #[arg(long, requires = "masks", default_value_t, value_parser = names::<MaskRule>())]
+    mask_rule: MaskRule,
     #[command(flatten)]
     held_out: HoldOutArgs,
 }
@@ -42,12 +42,12 @@ pub(crate) struct EvaluateArgs {
 /// Runs the command: scores the rollouts, prints and writes the report.
 pub(crate) fn run(args: &EvaluateArgs) -> anyhow::Result<()> {
     let start = Instant::now();
-    let inputs = Inputs::new(args.rollouts.iter().chain(&args.masks).chain(&args.features));
+    let inputs = Inputs::new(args.rollouts.iter().chain(&args.masks));
     let [out] = outputs::open([("--out", args.out.as_deref(), SCORES)], &inputs, None)?;
     let options = EvaluateOptions {
         rollouts: args.rollouts.clone(),
         masks: args.masks.clone(),
-        features: args.features.clone().try_into().ok(),
+        mask_rule: args.mask_rule,
         hold_out: args.held_out.hold_out.map(usize::from),
         root: None,
     };

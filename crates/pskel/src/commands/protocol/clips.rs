@@ -18,7 +18,9 @@ use point_skeleton::files::input::is_there;
 use point_skeleton::files::{Inputs, OutputFolder, write_json, write_whole};
 use point_skeleton::scene::{SelectionOptions, SubstituteOptions};
 use point_skeleton::skeleton;
-use pskel_eval::protocol::{Clip, Part, PartRollouts, Protocol, ProtocolReport, check_settings};
+use pskel_eval::protocol::{
+    Clip, Part, PartRollouts, Protocol, ProtocolReport, ScoreOptions, check_settings,
+};
 use pskel_generate::{CopiedLog, DatasetCopy, DenoiserRig};
 use pskel_sim::report::ROLLOUT;
 use pskel_sim::rollout::{self, InputPaths, RolloutInputs};
@@ -30,6 +32,7 @@ use super::super::simulate::{self, ClipArgs, SimulateArgs};
 use super::logs::ProtocolLogs;
 use crate::args::generator::GeneratorArgs;
 use crate::args::maps::MapArgs;
+use crate::args::metrics::MetricArgs;
 use crate::args::outputs::FolderArgs;
 use crate::args::prompt::PromptArgs;
 use crate::args::rasterizer::RasterizerArgs;
@@ -69,6 +72,8 @@ pub(crate) struct ClipProtocolArgs {
     substitutes: SubstituteArgs,
     #[command(flatten)]
     rasterizer: RasterizerArgs,
+    #[command(flatten)]
+    metrics: MetricArgs,
 }
 
 /// Content of `protocol.json`: options that all rollouts of the folder share.
@@ -156,6 +161,7 @@ impl ClipProtocolArgs {
             .and(&self.prompt.annotations)
             .and(self.generator.inputs())
             .and(self.substitutes.inputs())
+            .and(self.metrics.inputs())
     }
 
     /// Returns the selected parts, in order.
@@ -320,9 +326,16 @@ impl Run<'_> {
         let mut on_start = |steps| *progress.borrow_mut() = Some(Progress::new(steps));
         let mut on_step =
             |name: &str| progress.borrow_mut().iter_mut().for_each(|progress| progress.step(name));
-        let rollouts = (self.args.given.folder.out.as_path(), self.parts.as_slice());
-        let report = ProtocolReport::score(self.protocol, &self.logs, rollouts, &mut on_start, &mut on_step)?;
+        let options = ScoreOptions {
+            root: self.args.given.folder.out.as_path(),
+            networks: self.args.metrics.networks(),
+            mask_rule: self.args.metrics.mask_rule,
+            cache: &self.files.folder("metrics")?,
+        };
+        let (logs, parts) = (&self.logs, &self.parts);
+        let report = ProtocolReport::score(self.protocol, logs, parts, options, &mut on_start, &mut on_step)?;
         drop(progress);
+        report.notes().for_each(|note| print_progress(&format!("note: {note}")));
         write_json(&self.files.claim("results.json")?, &report)?;
         let (path, table) = (self.files.claim("table.md")?, report.table());
         write_whole(&path, |out| {

@@ -1,6 +1,6 @@
 //! `pskel evaluate` on small synthetic rollouts.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::process::{Command, Output};
 
 use image::{GrayImage, ImageBuffer, Luma, Rgb, RgbImage};
@@ -195,20 +195,8 @@ fn rollouts_are_scored_individually_and_together() {
     assert!(std::fs::read(rollouts.path("again.json")).unwrap() == bytes);
 }
 
-/// Writes an `f64` array in NumPy's format.
-fn npy(path: &Path, shape: &str, values: &[f64]) {
-    let mut text = format!("{{'descr': '<f8', 'fortran_order': False, 'shape': {shape}, }}");
-    text += &" ".repeat(63 - (10 + text.len()) % 64);
-    text.push('\n');
-    let mut bytes = b"\x93NUMPY\x01\x00".to_vec();
-    bytes.extend((text.len() as u16).to_le_bytes());
-    bytes.extend(text.as_bytes());
-    bytes.extend(values.iter().flat_map(|v| v.to_le_bytes()));
-    std::fs::write(path, bytes).unwrap();
-}
-
 #[test]
-fn external_masks_and_features_are_used() {
+fn external_masks_are_used() {
     let rollouts = Rollouts::new();
     rollouts.add("a", 1);
     for step in (4..STEPS).step_by(2) {
@@ -219,13 +207,8 @@ fn external_masks_and_features_are_used() {
             GrayImage::from_fn(2 * WIDTH, 2 * HEIGHT, |x, y| Luma([3 * actor(step, x / 2, y / 2) as u8]));
         CAMERAS.iter().for_each(|camera| mask.save(folder.join(format!("{camera}.png"))).unwrap());
     }
-    npy(&rollouts.path("gen.npy"), "(4, 2)", &[0.0, 0.0, 2.0, 0.0, 0.0, 2.0, 2.0, 2.0]);
-    npy(&rollouts.path("true.npy"), "(4, 2)", &[4.0, 0.0, 6.0, 0.0, 4.0, 2.0, 6.0, 2.0]);
-    let args = "a --masks masks --features gen.npy true.npy";
+    let args = "a --masks masks";
     let (stdout, _, json) = rollouts.succeed(args);
-    assert!(stdout.contains("of given features 16.000"), "{stdout}");
-    let given = &json["given_features"];
-    assert!((number(&given["distance"]) - 16.0).abs() < 1e-9 && given["features"] == json!(2), "{given}");
     let iou = &json["rollouts"][0]["scores"]["iou"];
     assert!(number(&iou["masks"]["generated"]) > 0.9, "{}", iou["masks"]);
     let mut lines = stdout.lines();
@@ -233,18 +216,13 @@ fn external_masks_and_features_are_used() {
     let printed: f64 = row.split_whitespace().last().unwrap().parse().unwrap();
     assert!(header.ends_with("IoU masks"), "{header}");
     assert!((printed - number(&iou["masks"]["generated"])).abs() < 1e-3, "{row}");
+    let (_, _, blurred) = rollouts.succeed("a --masks masks --mask-rule paper");
+    let blurred = &blurred["rollouts"][0]["scores"]["iou"]["masks"]["generated"];
+    assert!(number(blurred) > 0.9 && blurred != &iou["masks"]["generated"], "{blurred}");
+    rollouts.fail("a --mask-rule paper", 2, &["--masks"]);
     // Masks are read per camera.
     std::fs::remove_file(rollouts.path("masks/000010/CAM_FRONT.png")).unwrap();
     rollouts.fail(args, 1, &["cannot read", "masks/000010/CAM_FRONT.png"]);
-    let args = "a --features gen.npy true.npy";
-    npy(&rollouts.path("true.npy"), "(2, 3)", &[0.0; 6]);
-    rollouts.fail(args, 1, &["as many features in both sets, found 2 and 3: gen.npy and true.npy"]);
-    npy(&rollouts.path("true.npy"), "(9, 2)", &[0.0; 6]);
-    rollouts.fail(args, 1, &["expected 9 rows of 2 numbers of 8 bytes, found 48 bytes of data: true.npy"]);
-    npy(&rollouts.path("true.npy"), "(6,)", &[0.0; 6]);
-    rollouts.fail(args, 1, &["expected features of shape [N, D], found shape [6]: true.npy"]);
-    npy(&rollouts.path("true.npy"), "(1, 2)", &[0.0; 2]);
-    rollouts.fail(args, 1, &["at least 2 images in each set, found 4 and 1"]);
 }
 
 #[test]
