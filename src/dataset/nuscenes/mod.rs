@@ -2,13 +2,14 @@
 //!
 //! # How it works
 //! `tables` defines the raw records, `version` finds the records of one scene, `read` converts them to a
-//! [`Recording`], and `sweep` reads and writes sweep files. Format:
+//! [`Recording`], and `sweep` reads and writes sweep files. `interpolate` writes tables at a higher rate. Format:
 //! <https://www.nuscenes.org/nuscenes#data-format>.
 
 mod annotations;
 mod chain;
 mod choose;
 mod frames;
+mod interpolate;
 mod lens;
 mod map;
 mod read;
@@ -20,6 +21,7 @@ mod write;
 mod write_map;
 
 pub use choose::expand;
+pub use interpolate::{ANNOTATED_HZ, InterpolatedCounts, interpolate_tables};
 pub use map::read_map_file;
 pub use sweep::{POINT_BYTES, parse_sweep, read_sweep_file, write_sweep_file};
 use version::Version;

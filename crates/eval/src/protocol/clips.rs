@@ -2,12 +2,13 @@ use point_skeleton::dataset::Recording;
 use point_skeleton::scene::frame_rate_hz;
 use pskel_sim::{EgoPolicy, Rates};
 
-use super::definition::{Length, Part, PartRates};
+use super::definition::{Length, Part, PartRates, Starts};
 
 /// Clip of a log to generate.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Clip {
-    /// Name, also of the rollout's folder: the log's, with the second of its start if a log has several.
+    /// Name, also of the rollout's folder: the log's, with the second of its start or its number if a log has
+    /// several.
     pub name: String,
     /// Time of the first frame, absolute microseconds.
     pub start_us: i64,
@@ -73,15 +74,27 @@ impl Part {
             Length::GeneratedS(seconds) => references + (seconds * hz).round() as usize,
         };
         let duration_us = ((frames - 1) as f64 / hz * 1e6).round() as i64;
-        let clip = |number: usize| {
-            let start_s = self.every_s.map(|every_s| number as f64 * every_s);
-            let name =
-                start_s.map_or_else(|| log.name.clone(), |start_s| format!("{}-{start_s:03.0}s", log.name));
-            let start_us = first_us + start_s.map_or(0, |start_s| (start_s * 1e6).round() as i64);
-            Clip { name, start_us, clock, frames }
+        let spacing_s = match self.starts {
+            Starts::First => {
+                return Ok(vec![Clip { name: log.name.clone(), start_us: first_us, clock, frames }]);
+            }
+            Starts::EveryS(seconds) => seconds,
+            Starts::Spread(count) => {
+                let slack_s = (last_us - first_us - duration_us).max(0) as f64 / 1e6;
+                (slack_s / (count.max(2) - 1) as f64).max(1.0 / hz)
+            }
         };
-        let count = if self.every_s.is_some() { usize::MAX } else { 1 };
-        let fits = |clip: &Clip| clip.start_us == first_us || clip.start_us + duration_us <= last_us;
+        let clip = |number: usize| {
+            let start_s = number as f64 * spacing_s;
+            let name = match self.starts {
+                Starts::Spread(_) => format!("{}-{number:02}", log.name),
+                Starts::First | Starts::EveryS(_) => format!("{}-{start_s:03.0}s", log.name),
+            };
+            Clip { name, start_us: first_us + (start_s * 1e6).round() as i64, clock, frames }
+        };
+        let count = if let Starts::Spread(count) = self.starts { count } else { usize::MAX };
+        // Half a microsecond per clip: the last one of `Spread` ends with the log.
+        let fits = |clip: &Clip| clip.start_us == first_us || clip.start_us + duration_us <= last_us + 1;
         Ok((0..count).map(clip).take_while(fits).collect())
     }
 
@@ -147,11 +160,26 @@ mod tests {
             assert_eq!(found, starts.iter().map(expected).collect::<Vec<_>>());
             assert_eq!(found[0].steps(), 19);
         }
-        let off_log = clips(Protocol::NuplanSimgen, 2, &log(600, 10));
+        let off_log = clips(Protocol::NuplanSimgen, 3, &log(600, 10));
         assert_eq!((off_log.len(), off_log[0].steps(), off_log[0].name.as_str()), (1, 60, "log"));
         // Frames at 12 Hz do not have a rate of 5 Hz.
         let clock = clips(Protocol::NuplanSimgen, 0, &log(600, 12)).remove(0).clock;
         assert_eq!(clock, ClipClock::Rates(Rates { sim_hz: 10.0, plan_hz: 5.0 }));
+    }
+
+    #[test]
+    fn lane_changes_are_spread_over_the_log() {
+        // A clip takes 6 s: of a log of 4000 frames from 0 to 399.9 s, starts are 0 to 393.9 s.
+        let found = clips(Protocol::NuplanSimgen, 1, &log(4000, 10));
+        assert_eq!((found.len(), found[0].steps(), found[0].frames), (30, 60, 31));
+        assert_eq!((found[0].name.as_str(), found[29].name.as_str()), ("log-00", "log-29"));
+        let starts: Vec<i64> = found.iter().map(|clip| clip.start_us - 1_000_000).collect();
+        assert_eq!((starts[0], starts[29]), (0, 393_900_000));
+        let apart = starts.windows(2).map(|pair| pair[1] - pair[0]);
+        assert!(apart.clone().all(|us| (us - 393_900_000 / 29).abs() <= 1), "{starts:?}");
+        // Two seconds of slack are 11 starts at 5 Hz; a log that is too short has one clip.
+        assert_eq!(clips(Protocol::NuplanSimgen, 1, &log(81, 10)).len(), 11);
+        assert_eq!(clips(Protocol::NuplanSimgen, 1, &log(20, 10)).len(), 1);
     }
 
     #[test]

@@ -18,7 +18,7 @@ pub enum Protocol {
 
 named!(Protocol, "protocol" {
     NuplanSimgen => "nuplan-simgen",
-        "Ten nuPlan logs: clips of 20 frames at 5 Hz, and three policies that leave the log";
+        "Ten nuPlan logs: clips of 20 frames at 5 Hz, 30 lane changes per log, and three other policies";
     NuscenesVal => "nuscenes-val",
         "150 scenes of nuScenes: 24 frames at 6 Hz, 16 at 2 Hz with a copy of the data set, 100 at 6 Hz";
     LaneChange => "lane-change", "Any logs: 10 s that follow the log, and with a lane change";
@@ -35,9 +35,10 @@ pub struct Part {
     pub rates: PartRates,
     /// Length of a clip.
     pub length: Length,
-    /// Seconds from the start of a clip to the start of the next; `None` for one clip at the start of each
-    /// log.
-    pub every_s: Option<f64>,
+    /// Where the clips start in a log.
+    pub starts: Starts,
+    /// Whether the part runs only if it is selected.
+    pub is_optional: bool,
     /// Whether the images are also written into a copy of the data set, for perception models.
     pub copies_dataset: bool,
 }
@@ -64,6 +65,18 @@ pub enum Length {
     GeneratedS(f64),
 }
 
+/// Starts of the clips in a log.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Starts {
+    /// One clip, at the start of the log.
+    First,
+    /// At the start, and then every so many seconds.
+    EveryS(f64),
+    /// So many clips, evenly spaced from the start to the end of the log; fewer if two of them would start
+    /// within a frame.
+    Spread(usize),
+}
+
 /// Rates of nuPlan.
 const FIVE_HZ: PartRates = PartRates::Fixed(Rates { sim_hz: 10.0, plan_hz: 5.0 });
 /// Rates of nuScenes with annotations at 12 Hz.
@@ -85,11 +98,14 @@ impl Protocol {
     pub fn parts(self) -> Vec<Part> {
         match self {
             Self::NuplanSimgen => {
-                let clips = Part { every_s: Some(10.0), ..replay(REPLAY, FIVE_HZ, Length::Frames(20)) };
-                let off_log = [EgoPolicy::Straight, EgoPolicy::RightThenBack, EgoPolicy::Cosine];
+                let clips = replay(REPLAY, FIVE_HZ, Length::Frames(20));
+                let clips = Part { starts: Starts::EveryS(10.0), ..clips };
                 // 60 steps at 10 Hz.
-                let off_log = off_log.map(|ego| off_log_part(ego, FIVE_HZ, Length::Frames(31)));
-                [clips].into_iter().chain(off_log).collect()
+                let off_log = |ego| off_log_part(ego, FIVE_HZ, Length::Frames(31));
+                let change = Part { starts: Starts::Spread(30), ..off_log(EgoPolicy::LaneChange) };
+                let others = [EgoPolicy::Straight, EgoPolicy::RightThenBack, EgoPolicy::Cosine];
+                let others = others.map(|ego| Part { is_optional: true, ..off_log(ego) });
+                [clips, change].into_iter().chain(others).collect()
             }
             Self::NuscenesVal => vec![
                 replay("6hz", SIX_HZ, Length::Generated(24)),
@@ -106,7 +122,8 @@ impl Protocol {
 
 /// Returns a part that follows the log, with one clip per log.
 fn replay(name: &'static str, rates: PartRates, length: Length) -> Part {
-    Part { name, ego: EgoPolicy::Replay, rates, length, every_s: None, copies_dataset: false }
+    let starts = Starts::First;
+    Part { name, ego: EgoPolicy::Replay, rates, length, starts, is_optional: false, copies_dataset: false }
 }
 
 /// Returns a part that leaves the log, with one clip per log.
@@ -122,7 +139,12 @@ mod tests {
     #[test]
     fn protocols_have_their_logs_and_parts() {
         let names = |protocol: Protocol| protocol.parts().iter().map(|part| part.name).collect::<Vec<_>>();
-        assert_eq!(names(Protocol::NuplanSimgen), ["replay", "straight", "right_then_back", "cosine"]);
+        assert_eq!(
+            names(Protocol::NuplanSimgen),
+            ["replay", "lane_change", "straight", "right_then_back", "cosine"]
+        );
+        let optional = |part: &Part| part.is_optional;
+        assert_eq!(Protocol::NuplanSimgen.parts().iter().filter(|part| optional(part)).count(), 3);
         assert_eq!(names(Protocol::NuscenesVal), ["6hz", "2hz", "long"]);
         assert_eq!(names(Protocol::LaneChange), ["replay", "lane_change"]);
         let logs = Protocol::NuscenesVal.logs();

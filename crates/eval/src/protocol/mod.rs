@@ -16,7 +16,7 @@ mod settings;
 mod simgen;
 
 pub use clips::{Clip, ClipClock, ShortLog};
-pub use definition::{Length, Part, PartRates, Protocol};
+pub use definition::{Length, Part, PartRates, Protocol, Starts};
 pub use report::{PartRollouts, ProtocolReport, ScoreOptions};
 pub use settings::check_settings;
 pub use simgen::{SIMGEN, SIMGEN_FORMAT};

@@ -3,23 +3,30 @@ use std::time::Instant;
 
 use clap::Args;
 use point_skeleton::cloud::{self, PointFormat};
+use point_skeleton::dataset::nuscenes::{self, InterpolatedCounts};
 use point_skeleton::error::FileError;
 use point_skeleton::files::Inputs;
 use point_skeleton::skeleton::Skeleton;
 
 use crate::args::names::names;
-use crate::args::outputs;
-use crate::{WrongUsage, print_notes, print_result};
+use crate::args::{log, outputs};
+use crate::{WrongUsage, print_notes, print_progress, print_result};
 
-/// Convert points: a skeleton to NPY or PLY files, or one such file to the other format
+/// Convert points: a skeleton to NPY or PLY files, or one such file to the other format; or tables of nuScenes
+/// to a higher rate
 ///
 /// A skeleton becomes a folder with background, actors/TRACK and templates/KIND, floats Nx6 (x y z r g b),
-/// and origins.json, which holds the origin of the background's coordinates and the file of each track.
+/// and origins.json, which holds the origin of the background's coordinates and the file of each track. With
+/// --hz, the annotations of a nuScenes version are interpolated: to ROOT/interp_12Hz_trainval, for instance.
 #[derive(Debug, Args)]
 pub(crate) struct ConvertArgs {
-    /// Skeleton folder, or a file of points
-    #[arg(value_name = "SKEL|P.npy|P.ply")]
+    /// Skeleton folder, or a file of points; with --hz nuscenes:ROOT[@VERSION]
+    #[arg(value_name = "SKEL|P.npy|P.ply|DATASET")]
     input: PathBuf,
+    /// Samples per second of new tables, a multiple of 2: that many frames are placed in each half second, that
+    /// is between two samples; layout of ASAP
+    #[arg(long, value_name = "N", conflicts_with = "format")]
+    hz: Option<u8>,
     /// Folder or file to write
     #[arg(long, value_name = "PATH", value_parser = outputs::output_folder())]
     out: PathBuf,
@@ -31,7 +38,9 @@ pub(crate) struct ConvertArgs {
 /// Runs the command: reads and writes points.
 pub(crate) fn run(args: ConvertArgs) -> anyhow::Result<()> {
     let start = Instant::now();
-    let what = if args.input.is_dir() {
+    let what = if let Some(hz) = args.hz {
+        convert_tables(&args.input, hz, &args.out)?
+    } else if args.input.is_dir() {
         convert_skeleton(&args.input, &args.out, args.format.unwrap_or(PointFormat::Npy))?
     } else {
         convert_file(&args)?
@@ -42,6 +51,22 @@ pub(crate) fn run(args: ConvertArgs) -> anyhow::Result<()> {
         args.out.display()
     ));
     Ok(())
+}
+
+fn convert_tables(input: &Path, hz: u8, out: &Path) -> anyhow::Result<String> {
+    let text = input.to_string_lossy();
+    let locator = log::log(&text).ok().filter(|locator| *locator.format == nuscenes::FORMAT);
+    let locator = locator
+        .ok_or_else(|| WrongUsage(format!("expected nuscenes:ROOT[@VERSION] with --hz, found {text}")))?;
+    let counts = nuscenes::interpolate_tables(&locator, hz, out)?;
+    let InterpolatedCounts { samples, annotations, files, repeated } = counts;
+    if repeated > 0 {
+        print_progress(&format!(
+            "note: {repeated} of {files} images and sweeps repeat an annotated sample's, since no other was \
+                recorded closer"
+        ));
+    }
+    Ok(format!("tables to {samples} samples, {annotations} annotations, {files} images and sweeps"))
 }
 
 fn convert_skeleton(input: &Path, out: &Path, format: PointFormat) -> Result<String, FileError> {

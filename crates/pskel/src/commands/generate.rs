@@ -8,7 +8,7 @@ use clap::Args;
 use point_skeleton::dataset::nuscenes;
 use pskel_eval::protocol::ClipClock;
 use pskel_generate::{CopiedLog, DatasetCopy};
-use pskel_sim::EgoKind;
+use pskel_sim::{ActorPolicy, EgoKind};
 
 use super::simulate::{self, ClipArgs, SimulateArgs};
 use crate::args::frames::MovedEgoArgs;
@@ -95,6 +95,7 @@ impl GenerateArgs {
             rollout: self.rollout,
             clock: self.every.map(|every| ClipClock::Frames(usize::from(every))),
             ego: EgoKind::Replay,
+            actors: ActorPolicy::Replay,
             least_warmup: false,
             ego_offset: self.moved.ego_offset,
             copies_dataset: self.dataset.is_some(),

@@ -24,7 +24,7 @@ use pskel_eval::protocol::{
 use pskel_generate::{CopiedLog, DatasetCopy, DenoiserRig};
 use pskel_sim::report::ROLLOUT;
 use pskel_sim::rollout::{self, InputPaths, RolloutInputs};
-use pskel_sim::{Rates, Scenario};
+use pskel_sim::{ActorPolicy, EgoPolicy, Rates, Scenario};
 use serde::Serialize;
 use serde_json::Value;
 
@@ -33,6 +33,7 @@ use super::logs::ProtocolLogs;
 use crate::args::generator::GeneratorArgs;
 use crate::args::maps::MapArgs;
 use crate::args::metrics::MetricArgs;
+use crate::args::names::names;
 use crate::args::outputs::FolderArgs;
 use crate::args::prompt::PromptArgs;
 use crate::args::rasterizer::RasterizerArgs;
@@ -53,7 +54,7 @@ use crate::{WrongUsage, logs, print_progress, print_result};
 pub(crate) struct ClipProtocolArgs {
     #[command(flatten)]
     given: ProtocolLogs,
-    /// Parts of the protocol [default: all]
+    /// Parts of the protocol [default: all; of nuplan-simgen replay and lane_change]
     #[arg(long, value_name = "PART,..", value_delimiter = ',')]
     parts: Vec<String>,
     /// Accept any logs instead of all logs in the protocol; the table says so
@@ -62,6 +63,9 @@ pub(crate) struct ClipProtocolArgs {
     /// At most this number of clips per recording and part [default: all]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
     clips: Option<u16>,
+    /// Policy of the other actors where the ego leaves the log
+    #[arg(long, value_name = "POLICY", default_value_t, value_parser = names::<ActorPolicy>())]
+    actors: ActorPolicy,
     #[command(flatten)]
     prompt: PromptArgs,
     #[command(flatten)]
@@ -80,6 +84,7 @@ pub(crate) struct ClipProtocolArgs {
 #[derive(Serialize)]
 struct Settings<'a> {
     protocol: &'a str,
+    actors: &'a str,
     generator: Value,
     maps: ConditionOptions,
     selection: SelectionOptions,
@@ -171,8 +176,10 @@ impl ClipProtocolArgs {
         if let Some(other) = self.parts.iter().find(|part| !names.contains(&part.as_str())) {
             return Err(WrongUsage(format!("expected --parts of {}, found {other}", names.join(", "))));
         }
-        let is_selected = |name: &str| self.parts.is_empty() || self.parts.iter().any(|part| part == name);
-        parts.retain(|part| is_selected(part.name));
+        parts.retain(|part| match self.parts.as_slice() {
+            [] => !part.is_optional,
+            selected => selected.iter().any(|name| name == part.name),
+        });
         Ok(parts)
     }
 
@@ -216,6 +223,7 @@ impl ClipProtocolArgs {
         let opened = opened.context("expected a network for --generator, found none")?;
         let settings = serde_json::to_value(Settings {
             protocol: protocol.name(),
+            actors: self.actors.name(),
             generator: serde_json::to_value(opened.report())?,
             maps: self.maps.conditions(self.maps.maps.unwrap_or_default()),
             selection: self.maps.selection(),
@@ -306,6 +314,7 @@ impl Run<'_> {
             },
             clock: Some(clip.clock),
             ego: part.ego.kind(),
+            actors: if part.ego == EgoPolicy::Replay { ActorPolicy::Replay } else { args.actors },
             least_warmup: true,
             ego_offset: None,
             copies_dataset: false,

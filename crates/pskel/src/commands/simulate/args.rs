@@ -110,7 +110,7 @@ pub(super) struct OutputFiles {
 #[derive(Clone, Copy, Debug)]
 struct EveryFrames(Option<usize>);
 
-/// Options for generating a clip of a log, whose other actors follow the log.
+/// Options for generating a clip of a log.
 #[cfg(feature = "network")]
 pub(crate) struct ClipArgs {
     pub(crate) source: SourceArgs,
@@ -120,6 +120,7 @@ pub(crate) struct ClipArgs {
     /// `None` for the frames of the log, at the default stride.
     pub(crate) clock: Option<ClipClock>,
     pub(crate) ego: EgoKind,
+    pub(crate) actors: ActorPolicy,
     pub(crate) least_warmup: bool,
     pub(crate) ego_offset: Option<EgoOffset>,
     /// Whether generated images replace the data set's.
@@ -151,7 +152,7 @@ impl SimulateArgs {
             #[cfg(feature = "mcap")]
             mcap: None,
             prompt: clip.prompt,
-            policies: PolicyArgs::of_clip(clip.ego, rates),
+            policies: PolicyArgs::of_clip(clip.ego, clip.actors, rates),
             generator: clip.generator,
             maps: clip.maps,
             substitutes: clip.substitutes,

@@ -53,9 +53,9 @@ pub(super) struct PolicyArgs {
 }
 
 impl PolicyArgs {
-    /// Creates the policies for a clip of a log, whose other actors follow the log.
+    /// Creates the policies for a clip of a log.
     #[cfg(feature = "network")]
-    pub(super) fn of_clip(ego: EgoKind, rates: Option<Rates>) -> Self {
+    pub(super) fn of_clip(ego: EgoKind, actors: ActorPolicy, rates: Option<Rates>) -> Self {
         Self {
             ego,
             trajectory: None,
@@ -63,7 +63,7 @@ impl PolicyArgs {
             planner: None,
             planner_timeout: 10.0,
             tracking: Tracking::Perfect,
-            actors: ActorPolicy::Replay,
+            actors,
             sim_hz: rates.map(|rates| rates.sim_hz),
             plan_hz: rates.map(|rates| rates.plan_hz),
             warmup: None,

@@ -1,0 +1,136 @@
+"""The columns of a protocol that networks compute, on a written town: rollouts with and without ground truth."""
+
+import json
+import re
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch", reason="PyTorch is not installed")
+pytest.importorskip("torchmetrics", reason="torchmetrics is not installed")
+pytest.importorskip("torch_fidelity", reason="torch-fidelity is not installed")
+Image = pytest.importorskip("PIL.Image", reason="Pillow is not installed")
+
+from test_metrics import i3d_weights, inception_weights, mask2former  # noqa: F401 # fixtures
+
+
+def pskel(*arguments, status=0):
+    command = [sys.executable, "-m", "pskel", *map(str, arguments)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == status, done.stderr
+    return done
+
+
+@pytest.fixture(scope="module")
+def town(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("town")
+    pskel("town", "seed=3,frames=20,hz=5,size=45x80", "--out", folder / "data")
+    return folder
+
+
+def protocol(town, *arguments, parts="replay,straight", status=0):
+    log = f"nuscenes:{town / 'data'}@v1.0-town"
+    options = ["--other-logs", "--generator", "fill", "--maps", "color,class", "--size", "45x80"]
+    folders = ["--skeletons", town / "skeletons", "--out", town / "out"]
+    return pskel("protocol", "nuplan-simgen", log, "--parts", parts, *options, *folders, *arguments, status=status)
+
+
+def cells(town):
+    """The cells of the table by row and column."""
+    header, _, *rows = [line.strip("| ").split(" | ") for line in (town / "out/table.md").read_text().splitlines() if line.startswith("|")]
+    return {row[0]: dict(zip(header, row, strict=True)) for row in rows}
+
+
+def pictures(folder, kind, generated=True):
+    """Images of all steps with generated images, or all, by camera and then time."""
+    steps = sorted((folder / "steps").iterdir())
+    is_generated = {step: (step / "generated.json").is_file() and "reference" not in (step / "generated.json").read_text() for step in steps}
+    wanted = [step for step in steps if (is_generated[step] or not generated) and (step / kind).is_dir()]
+    cameras = sorted(path.name for path in (wanted[0] / kind).glob("*.png"))
+    return [np.stack([np.asarray(Image.open(step / kind / camera)) for step in wanted]) for camera in cameras]
+
+
+def distance(a, b):
+    """FID by the eigenvalues of a product as small as the number of images."""
+    x, y = ((rows - rows.mean(0)) / np.sqrt(len(rows) - 1) for rows in (a, b))
+    product = x @ y.T
+    shared = np.sqrt(np.clip(np.linalg.eigvalsh(product @ product.T), 0, None)).sum()
+    return ((a.mean(0) - b.mean(0)) ** 2).sum() + (x**2).sum() + (y**2).sum() - 2 * shared
+
+
+def test_columns_are_those_of_torchmetrics(town, inception_weights, mask2former):  # noqa: F811
+    """FID of replayed and off-log rollouts, and IoU, of the same images; a second run computes nothing again."""
+    from torchmetrics.image.fid import NoTrainInceptionV3
+
+    networks = ["--inception", inception_weights, "--segmentor", mask2former]
+    done = protocol(town, *networks)
+    table, results = (town / "out/table.md").read_bytes(), (town / "out/results.json").read_bytes()
+    assert "FVD needs --i3d." in done.stdout and "IoU needs" not in done.stdout
+    network = NoTrainInceptionV3("inception-v3-compat", ["2048"], str(inception_weights)).eval()
+
+    def features(videos):
+        with torch.inference_mode():
+            return np.concatenate([network(torch.from_numpy(video).permute(0, 3, 1, 2)).double().numpy() for video in videos])
+
+    replay, straight = (next((town / "out" / part).iterdir()) for part in ("replay", "straight"))
+    assert not list(straight.glob("steps/*/truth"))
+    generated, truth = features(pictures(replay, "generated")), features(pictures(replay, "truth"))
+    assert generated.shape == truth.shape == (6 * 17, 2048)
+    off_log, logged = features(pictures(straight, "generated")), features(pictures(replay, "truth", generated=False))
+    assert len(off_log) == 6 * 28 and len(logged) == 6 * 20
+    parts = {part["name"]: part for part in json.loads(results)["parts"]}
+    for part, one, other in (("replay", generated, truth), ("straight", off_log, logged)):
+        found = parts[part]["fid"]
+        assert found["samples"] == [len(one), len(other)]
+        assert found["distance"] == pytest.approx(distance(one, other), rel=1e-6)
+        assert float(cells(town)[part]["FID"]) == pytest.approx(found["distance"], abs=0.006)
+        assert cells(town)[part]["FVD"] == "-" and parts[part]["fvd"] is None
+        assert parts[part]["images"]["mean"]["iou_masks"]["mean"] is not None
+        assert re.fullmatch(r"[0-9.]+", cells(town)[part]["IoU (%)"])
+    masks = sorted((town / "out/metrics/masks").rglob("*.png"))
+    assert len(masks) == 6 * (17 + 28)
+    # As an interrupted run leaves it.
+    times = {path: path.stat().st_mtime_ns for path in (town / "out/metrics").rglob("*") if path.is_file()}
+    removed = [masks[3], *sorted((town / "out/metrics/features").iterdir())[:2]]
+    before = {path: path.read_bytes() for path in removed}
+    for path in [*removed, town / "out/table.md", town / "out/results.json"]:
+        path.unlink()
+    protocol(town, *networks)
+    assert (town / "out/table.md").read_bytes() == table and (town / "out/results.json").read_bytes() == results
+    assert all(path.read_bytes() == content for path, content in before.items())
+    assert all(path.stat().st_mtime_ns == time for path, time in times.items() if path not in removed)
+
+
+def test_fvd_is_that_of_clips(town, i3d_weights):  # noqa: F811
+    from pskel.metrics import I3D, video_features
+
+    protocol(town, "--i3d", i3d_weights, parts="replay")
+    ((replay,),) = [list((town / "out/replay").iterdir())]
+    network = I3D.load(i3d_weights)
+    sets = []
+    for kind in ("generated", "truth"):
+        clips = [video[start : start + 16] for video in pictures(replay, kind) for start in (0, 1)]
+        sets.append(video_features(network, clips).astype(np.float64))
+    (part,) = json.loads((town / "out/results.json").read_text())["parts"]
+    assert part["fvd"]["samples"] == [12, 12] and part["fid"] is None
+    assert part["fvd"]["distance"] == pytest.approx(distance(*sets), rel=1e-6)
+
+
+def test_missing_networks_are_reported(town, inception_weights, i3d_weights):  # noqa: F811
+    (town / "text.pth").write_text("no weights")
+    for arguments, said in (
+        (["--inception", town / "text.pth"], "expected weights of Inception by torch-fidelity, found another file"),
+        (["--inception", town / "none.pth"], "cannot read "),
+        (["--i3d", inception_weights], "missing tensors: "),
+        (["--segmentor", town], "expected a folder of Mask2Former with config.json, found none"),
+        (["--inception", inception_weights, "--python", "/bin/none"], "metrics need Python with the package pskel[metrics]"),
+    ):
+        done = protocol(town, *arguments, parts="replay", status=1)
+        assert said in done.stderr.splitlines()[-1], (arguments, done.stderr)
+    done = protocol(town, "--mask-rule", "paper", parts="replay", status=2)
+    assert "--segmentor" in done.stderr
+    # Off the log, and no part that follows it.
+    done = protocol(town, "--inception", inception_weights, parts="straight")
+    assert "note: straight: no FID and FVD: without ground truth they need the images of a part that follows the log" in done.stderr
