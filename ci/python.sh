@@ -6,7 +6,7 @@
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
-packages=('maturin>=1.16,<2' numpy pytest mypy 'gymnasium>=1.4' matplotlib tqdm webdataset pillow pandas pyarrow safetensors
+packages=('maturin>=1.16,<2' numpy pytest 'pytest-xdist>=3' mypy 'gymnasium>=1.4' matplotlib tqdm webdataset pillow pandas pyarrow safetensors
     mcap mcap-protobuf-support ${PSKEL_PYTHON_EXTRAS:-})
 # Networks and their training; tests are skipped without.
 torch=(torch torchvision 'diffusers>=0.35,<1' 'transformers>=4.49,<6' 'accelerate>=1' 'peft>=0.13' sentencepiece protobuf
@@ -47,6 +47,8 @@ if [ -d "${PSKEL_SHARED:-../shared}/interop/nuplan-devkit" ] && [ -d "$folder/de
     export PSKEL_DEVKIT_PYTHON="$folder/devkit/bin/python"
 fi
 export PSKEL_VALIDATION=1
+# Two processes, each with the tests of a file after another: many tests wait for processes of their own.
+export OMP_NUM_THREADS=1
 # Not in the folder of the sources, which would hide the installed package.
 cd "$scratch"
-"$folder/env/bin/python" -m pytest -p no:cacheprovider -q -rs "$OLDPWD/python/tests" "$@"
+"$folder/env/bin/python" -m pytest -p no:cacheprovider -q -rs -n 2 --dist loadfile --durations=20 "$OLDPWD/python/tests" "$@"

@@ -238,25 +238,25 @@ def test_rollouts_without_ground_truth_are_compared_with_reference_images(tmp_pa
     assert done.returncode == 1 and "expected a reference image, found another file" in done.stderr
 
 
-def test_features_are_computed_once(tmp_path, inception_weights, i3d_weights):
+def test_features_are_computed_once(tmp_path, inception_weights):
     """An interrupted run continues, and its files are those of an uninterrupted one."""
     rollouts = [write_rollout(tmp_path / name, 11) for name in ("a", "b")]
-    weights = ["--inception", inception_weights, "--i3d", i3d_weights, "--frames", 10, "--out"]
+    weights = ["--inception", inception_weights, "--frames", 10, "--out"]
     once = run(*rollouts, *weights, tmp_path / "once")
     assert once.returncode == 0, once.stderr
     assert run(rollouts[0], *weights, tmp_path / "parts").returncode == 0
     cached = {path: path.stat().st_mtime_ns for path in (tmp_path / "parts/cache").iterdir()}
-    assert len(cached) == 8  # 2 networks, 2 cameras, generated and truth
+    assert len(cached) == 4  # 2 cameras, generated and truth
     # As a killed process leaves it.
     (tmp_path / "parts/cache/.inception-0.npy.partial").write_bytes(b"half")
-    (tmp_path / "parts/cache").joinpath(sorted(cached)[0].name).write_bytes(b"")
+    sorted(cached)[0].write_bytes(b"")
     done = run(*rollouts, *weights, tmp_path / "parts")
     assert done.returncode == 0 and done.stdout == once.stdout, done.stderr
     for path in sorted((tmp_path / "once").rglob("*")):
         if path.is_file():
             assert path.read_bytes() == (tmp_path / "parts" / path.relative_to(tmp_path / "once")).read_bytes(), path
     unchanged = [path for path, time in cached.items() if path.stat().st_mtime_ns == time]
-    assert len(unchanged) == 7
+    assert len(unchanged) == 3
     # Another image has other features.
     Image.fromarray(images(99, 32, 56)).save(rollouts[1] / "steps/000006/generated/CAM_BACK.png")
     assert run(*rollouts, *weights, tmp_path / "parts").stdout != once.stdout
@@ -273,7 +273,8 @@ def ask(*requests):
 
 def test_server_answers_as_the_command(tmp_path, inception_weights, i3d_weights):
     long, short = write_rollout(tmp_path / "long", 17), write_rollout(tmp_path / "short", 3)
-    weights = {"inception": str(inception_weights), "i3d": str(i3d_weights), "cache": str(tmp_path / "cache"), "device": "cpu"}
+    cache = str(tmp_path / "out/cache")
+    weights = {"inception": str(inception_weights), "i3d": str(i3d_weights), "cache": cache, "device": "cpu"}
     whole, few, missing, unknown = ask(
         {"distances": {"rollouts": [str(long)], "references": None, **weights}},
         {"distances": {"rollouts": [str(short)], "references": [str(long)], **weights}},
@@ -318,20 +319,15 @@ def mask2former(tmp_path_factory):
     return folder
 
 
-def run_masks(*arguments):
-    command = [sys.executable, "-m", "pskel.metrics.masks", *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True, check=False)
-
-
-def test_masks_are_those_of_the_model(tmp_path, mask2former):
+def test_masks_are_those_of_the_model(tmp_path, mask2former, capsys):
     from transformers import AutoImageProcessor, Mask2FormerForUniversalSegmentation
 
-    from pskel.metrics.masks import VEHICLES
+    from pskel.metrics.masks import VEHICLES, main
 
     rollout = write_rollout(tmp_path / "rollout", 3)
-    done = run_masks(rollout, "--mask2former", mask2former)
-    assert done.returncode == 0, done.stderr
-    assert done.stdout == f"6 of 6 masks written, 0 were there: {rollout / 'masks'}\n"
+    arguments = [str(rollout), "--mask2former", str(mask2former)]
+    assert main(arguments) == 0
+    assert capsys.readouterr().out == f"6 of 6 masks written, 0 were there: {rollout / 'masks'}\n"
     network = Mask2FormerForUniversalSegmentation.from_pretrained(mask2former).eval()
     processor = AutoImageProcessor.from_pretrained(mask2former)
     vehicles = [number for number, name in network.config.id2label.items() if name in VEHICLES]
@@ -348,8 +344,8 @@ def test_masks_are_those_of_the_model(tmp_path, mask2former):
     before = {path: path.read_bytes() for path in written}
     written[0].unlink()
     Image.fromarray(images(98, 32, 56)).save(rollout / "steps/000006/generated/CAM_BACK.png")
-    done = run_masks(rollout, "--mask2former", mask2former)
-    assert done.stdout.startswith("2 of 6 masks written, 4 were there"), done.stderr
+    assert main(arguments) == 0
+    assert capsys.readouterr().out.startswith("2 of 6 masks written, 4 were there")
     assert written[0].read_bytes() == before[written[0]]
 
 
@@ -373,7 +369,9 @@ def test_masks_are_written_once_for_each_model(tmp_path):
         write_masks(rollout, tmp_path / "masks", segmentor, "another")
 
 
-def test_wrong_segmentors_are_reported(tmp_path, mask2former):
+def test_wrong_segmentors_are_reported(tmp_path, mask2former, capsys):
+    from pskel.metrics.masks import main
+
     rollout = write_rollout(tmp_path / "rollout", 2)
     (tmp_path / "empty").mkdir()
     shutil.copytree(mask2former, tmp_path / "classes")
@@ -383,14 +381,16 @@ def test_wrong_segmentors_are_reported(tmp_path, mask2former):
     (tmp_path / "classes/config.json").write_text(json.dumps(config))
     shutil.copytree(mask2former, tmp_path / "damaged")
     (tmp_path / "damaged/model.safetensors").write_bytes(b"no weights")
-    for arguments, status, said in (
-        ([rollout, "--mask2former", tmp_path / "none"], 1, "expected a folder of Mask2Former with config.json, found none"),
-        ([rollout, "--mask2former", tmp_path / "empty"], 1, "expected a folder of Mask2Former with config.json, found none"),
-        ([rollout, "--mask2former", tmp_path / "classes"], 1, "expected the semantic classes of Cityscapes, found 19 others (label_0, "),
-        ([rollout, "--mask2former", tmp_path / "damaged"], 1, "expected a folder of Mask2Former, found another ("),
-        ([tmp_path / "empty", "--mask2former", mask2former], 1, "expected a rollout with generated images, found none"),
-        ([rollout, rollout, "--mask2former", mask2former, "--out", tmp_path / "out"], 2, "expected one ROLLOUT with --out, found 2"),
+    for arguments, said in (
+        ([rollout, "--mask2former", tmp_path / "none"], "expected a folder of Mask2Former with config.json, found none"),
+        ([rollout, "--mask2former", tmp_path / "empty"], "expected a folder of Mask2Former with config.json, found none"),
+        ([rollout, "--mask2former", tmp_path / "classes"], "expected the semantic classes of Cityscapes, found 19 others (label_0, "),
+        ([rollout, "--mask2former", tmp_path / "damaged"], "expected a folder of Mask2Former, found another ("),
+        ([tmp_path / "empty", "--mask2former", mask2former], "expected a rollout with generated images, found none"),
     ):
-        done = run_masks(*arguments)
-        assert done.returncode == status and said in done.stderr, (arguments, done.stderr)
-        assert status == 2 or done.stderr.splitlines()[-1].startswith("pskel.metrics.masks: ")
+        assert main(list(map(str, arguments))) == 1
+        last = capsys.readouterr().err.splitlines()[-1]
+        assert last.startswith("pskel.metrics.masks: ") and said in last, arguments
+    with pytest.raises(SystemExit):
+        main([str(rollout), str(rollout), "--mask2former", str(mask2former), "--out", str(tmp_path / "out")])
+    assert "expected one ROLLOUT with --out, found 2" in capsys.readouterr().err

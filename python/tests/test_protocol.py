@@ -32,7 +32,9 @@ def town(tmp_path_factory):
 
 def protocol(town, *arguments, parts="replay,straight", status=0):
     log = f"nuscenes:{town / 'data'}@v1.0-town"
-    options = ["--other-logs", "--generator", "fill", "--maps", "color,class", "--size", "45x80"]
+    (town / "recipe.json").write_text('{"drawn": "45x80", "size": "45x80"}')
+    recipe = ["--generator", "fill", "--recipe", town / "recipe.json"]
+    options = ["--other-logs", *recipe, "--maps", "color,class", "--size", "45x80"]
     folders = ["--skeletons", town / "skeletons", "--out", town / "out"]
     return pskel("protocol", "nuplan-simgen", log, "--parts", parts, *options, *folders, *arguments, status=status)
 
@@ -43,13 +45,12 @@ def cells(town):
     return {row[0]: dict(zip(header, row, strict=True)) for row in rows}
 
 
-def pictures(folder, kind, generated=True):
-    """Images of all steps with generated images, or all, by camera and then time."""
-    steps = sorted((folder / "steps").iterdir())
-    is_generated = {step: (step / "generated.json").is_file() and "reference" not in (step / "generated.json").read_text() for step in steps}
-    wanted = [step for step in steps if (is_generated[step] or not generated) and (step / kind).is_dir()]
+def pictures(folder, kind, of=("generated",)):
+    """Image files of the steps with images of some kinds, by camera and then time."""
+    steps = sorted(path.parent for path in folder.glob("steps/*/generated.json"))
+    wanted = [step for step in steps if json.loads((step / "generated.json").read_text())["kind"] in of]
     cameras = sorted(path.name for path in (wanted[0] / kind).glob("*.png"))
-    return [np.stack([np.asarray(Image.open(step / kind / camera)) for step in wanted]) for camera in cameras]
+    return [tuple(step / kind / camera for step in wanted) for camera in cameras]
 
 
 def distance(a, b):
@@ -64,22 +65,34 @@ def test_columns_are_those_of_torchmetrics(town, inception_weights, mask2former)
     """FID of replayed and off-log rollouts, and IoU, of the same images; a second run computes nothing again."""
     from torchmetrics.image.fid import NoTrainInceptionV3
 
+    from pskel.metrics import Video
+    from pskel.metrics.networks import Inception
+
     networks = ["--inception", inception_weights, "--segmentor", mask2former]
     done = protocol(town, *networks)
     table, results = (town / "out/table.md").read_bytes(), (town / "out/results.json").read_bytes()
     assert "FVD needs --i3d." in done.stdout and "IoU needs" not in done.stdout
     network = NoTrainInceptionV3("inception-v3-compat", ["2048"], str(inception_weights)).eval()
+    kept = sorted((town / "out/metrics/features").iterdir())
+    assert len(kept) == 6 + 6 + 6 + 6  # cameras: replayed, its truth; off the log, all truth of the replay
+    package = Inception(inception_weights, town / "out/metrics/features", "cpu")
 
-    def features(videos):
+    def features(folder, kind, of=("generated",), as_kind=None, size=None):
+        """Features that the protocol has kept, of all cameras; those of the first camera compared with torchmetrics."""
+        videos = [Video(as_kind or kind, paths, size) for paths in pictures(folder, kind, of)]
+        rows = [package.features(video) for video in videos]
         with torch.inference_mode():
-            return np.concatenate([network(torch.from_numpy(video).permute(0, 3, 1, 2)).double().numpy() for video in videos])
+            expected = network(torch.from_numpy(videos[0].read()).permute(0, 3, 1, 2)).numpy()
+        np.testing.assert_allclose(rows[0], expected, rtol=1e-4, atol=1e-4 * np.abs(expected).max())
+        return np.concatenate(rows).astype(np.float64)
 
     replay, straight = (next((town / "out" / part).iterdir()) for part in ("replay", "straight"))
     assert not list(straight.glob("steps/*/truth"))
-    generated, truth = features(pictures(replay, "generated")), features(pictures(replay, "truth"))
+    generated, truth = features(replay, "generated"), features(replay, "truth")
     assert generated.shape == truth.shape == (6 * 17, 2048)
-    off_log, logged = features(pictures(straight, "generated")), features(pictures(replay, "truth", generated=False))
+    off_log, logged = features(straight, "generated"), features(replay, "truth", ("reference", "generated"), "reference", (45, 80))
     assert len(off_log) == 6 * 28 and len(logged) == 6 * 20
+    assert sorted((town / "out/metrics/features").iterdir()) == kept
     parts = {part["name"]: part for part in json.loads(results)["parts"]}
     for part, one, other in (("replay", generated, truth), ("straight", off_log, logged)):
         found = parts[part]["fid"]
@@ -101,6 +114,13 @@ def test_columns_are_those_of_torchmetrics(town, inception_weights, mask2former)
     assert (town / "out/table.md").read_bytes() == table and (town / "out/results.json").read_bytes() == results
     assert all(path.read_bytes() == content for path, content in before.items())
     assert all(path.stat().st_mtime_ns == time for path, time in times.items() if path not in removed)
+    # The rule for class maps only changes the IoU.
+    protocol(town, "--segmentor", mask2former, "--mask-rule", "paper")
+    other = json.loads((town / "out/results.json").read_text())
+    assert (other["mask_rule"], json.loads(results)["mask_rule"]) == ("paper", "closing")
+    for part in other["parts"]:
+        before, after = parts[part["name"]]["images"]["mean"], part["images"]["mean"]
+        assert {name for name in before if before[name] != after[name]} == {"iou_masks"}
 
 
 def test_fvd_is_that_of_clips(town, i3d_weights):  # noqa: F811
@@ -111,7 +131,8 @@ def test_fvd_is_that_of_clips(town, i3d_weights):  # noqa: F811
     network = I3D.load(i3d_weights)
     sets = []
     for kind in ("generated", "truth"):
-        clips = [video[start : start + 16] for video in pictures(replay, kind) for start in (0, 1)]
+        videos = [np.stack([np.asarray(Image.open(path)) for path in paths]) for paths in pictures(replay, kind)]
+        clips = [video[start : start + 16] for video in videos for start in (0, 1)]
         sets.append(video_features(network, clips).astype(np.float64))
     (part,) = json.loads((town / "out/results.json").read_text())["parts"]
     assert part["fvd"]["samples"] == [12, 12] and part["fid"] is None

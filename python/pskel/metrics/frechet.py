@@ -36,5 +36,4 @@ def _factor(features: np.ndarray) -> np.ndarray:
     deviations: np.ndarray = (features - features.mean(0)) / np.sqrt(len(features) - 1)
     if len(deviations) <= deviations.shape[1]:
         return deviations
-    triangle: np.ndarray = np.linalg.qr(deviations, mode="r")
-    return triangle
+    return np.asarray(np.linalg.qr(deviations, mode="r"))

@@ -307,8 +307,6 @@ fn declared_sizes_are_compared_with_the_address_space() {
         float y\n\
         property float z\nend_header\n";
     write_sparse(&log, "a.ply", ply.as_bytes(), 12_000_000_000);
-    write_sparse(&log, "features.npy", &npy_header("<f4", 1_000_000, 10_000), 40_000_000_000);
-    write_sparse(&log, "wide.npy", &npy_header("<f4", 20_000, 10_000), 800_000_000);
     let generate = format!(
         "generate {LOG} --skeleton sk --every 1 --generator fill --window 2 --maps color,depth,class \
             --rasterizer cpu \
@@ -324,16 +322,6 @@ fn declared_sizes_are_compared_with_the_address_space() {
         (4_000_000, "info a.npy".to_owned(), cloud),
         (4_000_000, format!("{splat} a.ply"), "a cloud of 1000000000 points needs 14.9 GiB of memory, but "),
         (4_000_000, "bench --synthetic 4e9".to_owned(), "a street of 4000000000 points needs 89.4 GiB"),
-        (
-            4_000_000,
-            "evaluate rollout --features features.npy features.npy".to_owned(),
-            "features of 1000000 rows of 10000 numbers needs 111.8 GiB",
-        ),
-        (
-            4_000_000,
-            "evaluate rollout --features wide.npy wide.npy".to_owned(),
-            "features of 20000 rows of 10000 numbers needs 2.2 GiB",
-        ),
         (500_000, "town frames=1,size=28x50 --out out/town".to_owned(), " needs 512.0 MiB of memory, but "),
         (
             400_000,
