@@ -2,8 +2,8 @@
 //!
 //! # How it works
 //! `tables` defines the raw records, `version` finds the records of one scene, `read` converts them to a
-//! [`Recording`], and `sweep` reads and writes sweep files. `interpolate` writes tables at a higher rate. Format:
-//! <https://www.nuscenes.org/nuscenes#data-format>.
+//! [`Recording`], and `sweep` reads and writes sweep files. `interpolate` writes tables at a higher rate.
+//! Format: <https://www.nuscenes.org/nuscenes#data-format>.
 
 mod annotations;
 mod chain;

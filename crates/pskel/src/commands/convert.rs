@@ -12,8 +12,8 @@ use crate::args::names::names;
 use crate::args::{log, outputs};
 use crate::{WrongUsage, print_notes, print_progress, print_result};
 
-/// Convert points: a skeleton to NPY or PLY files, or one such file to the other format; or tables of nuScenes
-/// to a higher rate
+/// Convert points: a skeleton to NPY or PLY files, or one such file to the other format; or annotations of
+/// nuScenes to a higher rate
 ///
 /// A skeleton becomes a folder with background, actors/TRACK and templates/KIND, floats Nx6 (x y z r g b),
 /// and origins.json, which holds the origin of the background's coordinates and the file of each track. With
@@ -23,8 +23,8 @@ pub(crate) struct ConvertArgs {
     /// Skeleton folder, or a file of points; with --hz nuscenes:ROOT[@VERSION]
     #[arg(value_name = "SKEL|P.npy|P.ply|DATASET")]
     input: PathBuf,
-    /// Samples per second of new tables, a multiple of 2: that many frames are placed in each half second, that
-    /// is between two samples; layout of ASAP
+    /// Samples per second of new tables in the layout of ASAP, a multiple of 2: N / 2 frames between two
+    /// annotated samples, whatever the time between them
     #[arg(long, value_name = "N", conflicts_with = "format")]
     hz: Option<u8>,
     /// Folder or file to write

@@ -28,8 +28,8 @@ pub(crate) struct EvaluateArgs {
     /// Also write all numbers to this file
     #[arg(long, value_name = "F.json")]
     out: Option<PathBuf>,
-    /// Vehicle masks, as `python -m pskel.metrics.masks` writes them: DIR/NNNNNN/CAM.png of any size, vehicles
-    /// not 0; once for each rollout, in order
+    /// Vehicle masks, as `python -m pskel.metrics.masks` writes them: DIR/NNNNNN/CAM.png of any size,
+    /// vehicles not 0; once for each rollout, in order
     #[arg(long, value_name = "DIR")]
     masks: Vec<PathBuf>,
     /// How the masks of vehicles are computed from class maps
