@@ -13,6 +13,7 @@ pytest.importorskip("torchmetrics", reason="torchmetrics is not installed")
 pytest.importorskip("torch_fidelity", reason="torch-fidelity is not installed")
 Image = pytest.importorskip("PIL.Image", reason="Pillow is not installed")
 
+from PIL.PngImagePlugin import PngInfo
 from test_metrics import i3d_weights, inception_weights, mask2former  # noqa: F401 # fixtures
 
 
@@ -114,13 +115,23 @@ def test_columns_are_those_of_torchmetrics(town, inception_weights, mask2former)
     assert (town / "out/table.md").read_bytes() == table and (town / "out/results.json").read_bytes() == results
     assert all(path.read_bytes() == content for path, content in before.items())
     assert all(path.stat().st_mtime_ns == time for path, time in times.items() if path not in removed)
-    # The rule for class maps only changes the IoU.
-    protocol(town, "--segmentor", mask2former, "--mask-rule", "paper")
-    other = json.loads((town / "out/results.json").read_text())
-    assert (other["mask_rule"], json.loads(results)["mask_rule"]) == ("paper", "closing")
-    for part in other["parts"]:
-        before, after = parts[part["name"]]["images"]["mean"], part["images"]["mean"]
-        assert {name for name in before if before[name] != after[name]} == {"iou_masks"}
+    # With the vehicles of the class maps as masks, and the mark of the model: the IoU is high, and depends on the rule.
+    for path in masks:
+        part, clip, step = path.parts[-4:-1]
+        key = Image.open(path).info["source"]
+        info = PngInfo()
+        info.add_text("source", key)
+        vehicles = np.asarray(Image.open(town / "out" / part / clip / "steps" / step / path.stem / "class.png")) == 1
+        Image.fromarray(vehicles.astype(np.uint8) * 255).save(path, pnginfo=info)
+    means = []
+    for rule in ("closing", "paper"):
+        protocol(town, "--segmentor", mask2former, "--mask-rule", rule)
+        found = json.loads((town / "out/results.json").read_text())
+        assert found["mask_rule"] == rule
+        means.append({part["name"]: part["images"]["mean"]["iou_masks"]["mean"] for part in found["parts"]})
+    for part in ("replay", "straight"):
+        closing, blur = (mean[part] for mean in means)
+        assert 0.5 < closing < 1 and 0.5 < blur < 1 and closing != blur
 
 
 def test_fvd_is_that_of_clips(town, i3d_weights):  # noqa: F811
