@@ -382,7 +382,7 @@ def test_wrong_segmentors_are_reported(tmp_path, mask2former, capsys):
     shutil.copytree(mask2former, tmp_path / "damaged")
     (tmp_path / "damaged/model.safetensors").write_bytes(b"no weights")
     for arguments, said in (
-        ([rollout, "--mask2former", tmp_path / "none"], "expected a folder of Mask2Former with config.json, found none"),
+        ([rollout, "--mask2former", tmp_path / "none"], "expected a folder of Mask2Former, found none: "),
         ([rollout, "--mask2former", tmp_path / "empty"], "expected a folder of Mask2Former with config.json, found none"),
         ([rollout, "--mask2former", tmp_path / "classes"], "expected the semantic classes of Cityscapes, found 19 others (label_0, "),
         ([rollout, "--mask2former", tmp_path / "damaged"], "expected a folder of Mask2Former, found another ("),

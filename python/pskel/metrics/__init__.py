@@ -2,8 +2,8 @@
 
 from .frechet import frechet_distance
 from .i3d import I3D, video_features
-from .inception import image_features, load_inception
 from .images import GeneratedVideo, Video, read_reference, read_rollout
+from .inception import image_features, load_inception
 
 __all__ = [
     "I3D",

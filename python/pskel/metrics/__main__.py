@@ -8,6 +8,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+from .._whole import write_whole
 from .cache import save_whole
 from .distances import ClipComparison, ImageComparison, compare_clips, compare_images, shorter
 from .images import videos_of
@@ -71,8 +72,8 @@ def _run(options: argparse.Namespace) -> None:
         for some in videos.values():
             if note := shorter(some, frames):
                 print(f"note: {note}", file=sys.stderr)
-    _write_text(out / "curve.csv", _csv(curves))
-    _write_text(out / "metrics.json", json.dumps(results, indent=2) + "\n")
+    write_whole(out / "curve.csv", _csv(curves).encode())
+    write_whole(out / "metrics.json", (json.dumps(results, indent=2) + "\n").encode())
 
 
 def _write(out: Path, network: FeatureNetwork, comparison: ImageComparison | ClipComparison) -> dict[str, object]:
@@ -92,12 +93,6 @@ def _csv(curves: dict[str, dict[int, float]]) -> str:
     for start in rows:
         lines.append(",".join([str(start), *(repr(curve[start]) if start in curve else "" for curve in curves.values())]))
     return "\n".join(lines) + "\n"
-
-
-def _write_text(path: Path, text: str) -> None:
-    partial = path.with_name(f".{path.name}.partial")
-    partial.write_text(text)
-    partial.replace(path)
 
 
 if __name__ == "__main__":

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
+import io
 import os
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
 
+from .._whole import write_whole
 from .images import Video
 
 
@@ -41,15 +43,10 @@ class FeatureCache:
 
 
 def save_whole(path: Path, values: np.ndarray) -> None:
-    """Write an NPY file under a temporary name, then rename it."""
-    partial = path.with_name(f".{path.name}.partial")
-    try:
-        with partial.open("wb") as file:
-            np.save(file, values)
-        os.replace(partial, path)
-    except OSError as error:
-        partial.unlink(missing_ok=True)
-        raise ValueError(f"cannot write {path}: {error.strerror}") from error
+    """Write an NPY file as a whole."""
+    buffer = io.BytesIO()
+    np.save(buffer, values)
+    write_whole(path, buffer.getvalue())
 
 
 def digest_of_file(path: Path) -> str:

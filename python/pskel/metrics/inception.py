@@ -8,6 +8,8 @@ import numpy as np
 import torch
 from torch import nn
 
+from ..models._files import first_line
+
 
 def load_inception(path: str | os.PathLike[str], device: torch.device | str = "cpu") -> nn.Module:
     """Read the weights of `pt_inception-2015-12-05-6726825d.pth` (torch-fidelity); raises ValueError for another file."""
@@ -18,8 +20,8 @@ def load_inception(path: str | os.PathLike[str], device: torch.device | str = "c
     try:
         network = NoTrainInceptionV3("inception-v3-compat", ["2048"], os.fspath(path))
     except Exception as error:
-        first = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise ValueError(f"{path}: expected weights of Inception by torch-fidelity, found another file ({first})") from error
+        found = f"another file ({first_line(error)})"
+        raise ValueError(f"{path}: expected weights of Inception by torch-fidelity, found {found}") from error
     moved: nn.Module = network.to(device)
     return moved
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import hashlib
+import io
 import os
 import sys
 from collections.abc import Callable, Sequence
@@ -11,6 +12,8 @@ from pathlib import Path
 
 import numpy as np
 
+from .._whole import write_whole
+from ..models._files import MODEL, expect_folder, first_line
 from .cache import digest_of_file
 from .images import Video, read_rollout
 
@@ -36,16 +39,12 @@ class Mask2Former:
             from transformers import AutoImageProcessor, Mask2FormerForUniversalSegmentation
         except ImportError as error:
             raise ValueError(f"expected the packages transformers and scipy, found none: {error}") from error
-        root = Path(folder)
-        files = [root / "config.json", root / "preprocessor_config.json"]
-        if missing := [path.name for path in files if not path.is_file()]:
-            raise ValueError(f"expected a folder of Mask2Former with {missing[0]}, found none: {root}")
+        root = expect_folder(folder, "Mask2Former", [(".", (*MODEL, ("preprocessor_config.json",)))])
         try:
             self._processor = AutoImageProcessor.from_pretrained(root, local_files_only=True)
             network = Mask2FormerForUniversalSegmentation.from_pretrained(root, local_files_only=True)
         except Exception as error:  # of many types, by what is wrong in the files
-            first = (str(error).strip().splitlines() or [type(error).__name__])[0]
-            raise ValueError(f"expected a folder of Mask2Former, found another ({first}): {root}") from error
+            raise ValueError(f"expected a folder of Mask2Former, found another ({first_line(error)}): {root}") from error
         labels = {str(name).lower(): int(number) for number, name in network.config.id2label.items()}
         if not {"car", "road"} <= labels.keys():
             found = ", ".join(sorted(labels)[:3])
@@ -110,13 +109,9 @@ def _write(path: Path, mask: np.ndarray, key: str) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     info = PngInfo()
     info.add_text(_KEY, key)
-    partial = path.with_name(f".{path.name}.partial")
-    try:
-        Image.fromarray(mask.astype(np.uint8) * 255).save(partial, format="PNG", pnginfo=info)
-        partial.replace(path)
-    except OSError as error:
-        partial.unlink(missing_ok=True)
-        raise ValueError(f"cannot write {path}: {error.strerror}") from error
+    buffer = io.BytesIO()
+    Image.fromarray(mask.astype(np.uint8) * 255).save(buffer, format="PNG", pnginfo=info)
+    write_whole(path, buffer.getvalue())
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

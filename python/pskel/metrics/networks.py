@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
 from functools import cached_property
 from pathlib import Path
 
@@ -28,9 +27,6 @@ class FeatureNetwork:
         self._weights, self._device = weights, device
         self._cache = FeatureCache(cache, self.name, weights)
 
-    def _cached(self, video: Video, starts: range, frames: int, compute: Callable[[], np.ndarray]) -> np.ndarray:
-        return self._cache.get(video, starts, frames, compute)
-
 
 class Inception(FeatureNetwork):
     """Inception v3: a feature row per image."""
@@ -43,7 +39,7 @@ class Inception(FeatureNetwork):
 
     def features(self, video: Video) -> np.ndarray:
         """Return features [T, 2048], float32."""
-        return self._cached(video, range(len(video)), 1, lambda: image_features(self._network, video.read()))
+        return self._cache.get(video, range(len(video)), 1, lambda: image_features(self._network, video.read()))
 
 
 class Video3d(FeatureNetwork):
@@ -62,4 +58,4 @@ class Video3d(FeatureNetwork):
             images = video.read()
             return video_features(self._network, [images[start : start + frames] for start in starts])
 
-        return self._cached(video, starts, frames, compute)
+        return self._cache.get(video, starts, frames, compute)

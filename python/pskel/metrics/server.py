@@ -12,6 +12,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from ..models._files import first_line
 from .distances import TooShortError, compare_clips, compare_images, shorter
 from .images import videos_of
 from .masks import Mask2Former, write_masks
@@ -75,7 +76,7 @@ def main() -> int:
         try:
             answer = server.answer(json.loads(line))
         except Exception as error:  # reported by the one who asked
-            answer = {"error": (str(error).strip().splitlines() or [type(error).__name__])[0]}
+            answer = {"error": first_line(error)}
         print(json.dumps(answer), file=answers, flush=True)
     return 0
 

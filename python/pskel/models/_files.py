@@ -19,7 +19,7 @@ def expect_folder(
 ) -> Path:
     """Check that the files to read are there; returns the folder.
 
-    ``files`` are pairs of a sub-folder and of patterns; each tuple of patterns must match one file. Raises
+    ``files`` are pairs of a sub-folder ("." for the folder itself) and of patterns; each tuple of patterns must match one file. Raises
     ``ValueError``, which names the first missing file, and the folder. ``title`` is the model's name.
     """
     root = Path(base)
@@ -30,7 +30,7 @@ def expect_folder(
             raise ValueError(f"expected a folder of {title} with {folder}, found none: {root}")
         for names in needed:
             if not any(any((root / folder).glob(name)) for name in names):
-                texts = " or ".join(f"{folder}/{name}" for name in names)
+                texts = " or ".join(str(Path(folder, name)) for name in names)
                 raise ValueError(f"expected a folder of {title} with {texts}, found none: {root}")
     return root
 

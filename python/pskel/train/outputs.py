@@ -16,6 +16,7 @@ from typing import Any, BinaryIO
 import torch
 from torch import Tensor
 
+from .. import _whole
 from .errors import CheckpointError, TrainError
 
 __all__ = ["Outputs", "Table", "claim_folder", "stacked", "write_whole"]
@@ -66,15 +67,9 @@ def claim_folder(folder: Path, *, resume: bool) -> BinaryIO:
 
 def write_whole(path: Path, content: bytes) -> None:
     """Write a file under a temporary name, then rename it. Raises ``CheckpointError`` if it cannot be written."""
-    partial = path.with_name(f".{path.name}.partial")
     try:
-        with open(partial, "wb") as file:
-            file.write(content)
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(partial, path)
+        _whole.write_whole(path, content)
     except OSError as error:
-        partial.unlink(missing_ok=True)
         raise CheckpointError(f"the file cannot be written: {error.strerror}: {path}") from error
 
 

@@ -1,9 +1,9 @@
 //! Blocks of sums, as runs store them.
 //!
 //! # How it works
-//! Most bytes of a sum are zero, or equal to the previous sum's. So keys are replaced by their differences, the
-//! bytes of a block are ordered by their place in a sum, and the result is compressed. A sum of 64 bytes then
-//! takes about 18.
+//! Most bytes of a sum are zero, or equal to the previous sum's. So keys are replaced by their differences,
+//! the bytes of a block are ordered by their place in a sum, and the result is compressed. A sum of 64 bytes
+//! then takes about 18.
 
 use bytemuck::Zeroable;
 

@@ -93,7 +93,7 @@ impl Part {
             Clip { name, start_us: first_us + (start_s * 1e6).round() as i64, clock, frames }
         };
         let count = if let Starts::Spread(count) = self.starts { count } else { usize::MAX };
-        // Half a microsecond per clip: the last one of `Spread` ends with the log.
+        // The last clip of `Spread` ends with the log, except for the rounding of its start.
         let fits = |clip: &Clip| clip.start_us == first_us || clip.start_us + duration_us <= last_us + 1;
         Ok((0..count).map(clip).take_while(fits).collect())
     }

@@ -133,6 +133,8 @@ impl ProtocolReport {
             let images = evaluate(&evaluated, on_start, on_step)?;
             let rollouts = evaluated.rollouts;
             let driving = Driving::read(&rollouts)?;
+            // Rollouts that leave the log have its images as the reference, if they have no ground truth.
+            let recorded = recorded.filter(|_| part.ego != EgoPolicy::Replay);
             let Distances { fid, fvd, notes } =
                 distances(&mut networks, &rollouts, &images, recorded, cache)?;
             let (name, clips, frames) = (part.name, rollouts.len(), *frames);

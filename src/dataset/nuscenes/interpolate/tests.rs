@@ -8,7 +8,10 @@ fn tables() -> tempfile::TempDir {
     let folder = tempfile::tempdir().unwrap();
     let root = folder.path().join("v1.0-mini");
     std::fs::create_dir(&root).unwrap();
-    let sample = |token: &str, t_us: i64, prev: &str, next: &str| json!({"token": token, "timestamp": t_us, "prev": prev, "next": next, "scene_token": "scene"});
+    let sample = |token: &str, t_us: i64, prev: &str, next: &str| {
+        let scene = "scene";
+        json!({"token": token, "timestamp": t_us, "prev": prev, "next": next, "scene_token": scene})
+    };
     let half_turn = std::f64::consts::FRAC_1_SQRT_2;
     let annotation = |token: &str, sample: &str, x: f64, rotation: [f64; 4], links: [&str; 2]| {
         json!({"token": token, "sample_token": sample, "instance_token": token[..1], "visibility_token": "4",
