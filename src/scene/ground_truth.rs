@@ -82,11 +82,8 @@ fn posed(actor: &ActorState) -> PosedActor<'_> {
 /// Reads the image of a camera that is nearest in time, and rectifies it.
 fn logged(reader: &dyn LogReader, camera: &str, t_us: i64) -> Result<RgbImage, GroundTruthError> {
     let log = reader.recording();
-    let of_camera =
-        |record: &&ImageRecord| log.cameras.get(record.channel).is_some_and(|name| name == camera);
-    let all = log.frames.iter().flat_map(|frame| frame.images.iter().chain(&frame.between_images));
-    let nearest = all.filter(of_camera).min_by_key(|record| (record.t_us.abs_diff(t_us), record.t_us));
-    let nearest = nearest
+    let nearest = log
+        .nearest_image(camera, t_us)
         .ok_or_else(|| GroundTruthError::NoImage { camera: camera.to_owned(), log: log.name.clone() })?;
     Ok(GroundTruthImages::new(reader).of_record(nearest)?)
 }

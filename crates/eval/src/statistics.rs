@@ -1,5 +1,5 @@
 /// Mean of independent values, one per scene, and its 95 % confidence interval by Student's t.
-#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct MeanInterval {
     /// Number of values.
     pub count: usize,

@@ -35,6 +35,41 @@ pub(crate) fn markdown(cells: &[Vec<String>]) -> String {
     line(header) + &rule + &rows.iter().map(line).collect::<String>()
 }
 
+/// Formats cells as comma-separated values (RFC 4180).
+pub(crate) fn csv(cells: &[Vec<String>]) -> String {
+    let cell = |text: &String| match text.contains(['"', ',', '\r', '\n']) {
+        true => format!("\"{}\"", text.replace('"', "\"\"")),
+        false => text.clone(),
+    };
+    cells.iter().map(|row| row.iter().map(cell).collect::<Vec<_>>().join(",") + "\r\n").collect()
+}
+
+/// Formats cells as a `tabular` of LaTeX with the rules of the package booktabs; the first row is the header.
+pub(crate) fn latex(cells: &[Vec<String>]) -> String {
+    let escaped = |text: &String| {
+        let escape = |c: char| match c {
+            '&' | '%' | '$' | '#' | '_' | '{' | '}' => format!("\\{c}"),
+            '\\' => "\\textbackslash{}".to_owned(),
+            '~' => "\\textasciitilde{}".to_owned(),
+            '^' => "\\textasciicircum{}".to_owned(),
+            other => other.to_string(),
+        };
+        text.chars().map(escape).collect::<String>()
+    };
+    let cell = |text: &String| match text.split_once(" ± ") {
+        Some((mean, half)) => format!("${mean} \\pm {half}$"),
+        None => escaped(text),
+    };
+    let line = |row: &Vec<String>| row.iter().map(cell).collect::<Vec<_>>().join(" & ") + " \\\\\n";
+    let Some((header, rows)) = cells.split_first() else { return String::new() };
+    let columns = format!("l{}", "r".repeat(header.len().saturating_sub(1)));
+    let rows: String = rows.iter().map(line).collect();
+    let header = line(header);
+    format!(
+        "\\begin{{tabular}}{{{columns}}}\n\\toprule\n{header}\\midrule\n{rows}\\bottomrule\n\\end{{tabular}}\n"
+    )
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -52,6 +87,18 @@ mod tests {
     fn formats_markdown() {
         let cells = vec![vec!["a".to_owned(), "bcd".to_owned()], vec!["ef".to_owned(), "1".to_owned()]];
         assert_eq!(markdown(&cells), "| a | bcd |\n|---|---|\n| ef | 1 |\n");
+    }
+
+    #[test]
+    fn formats_csv_and_latex() {
+        let cells = [["a", "IoU (%)"], ["b, \"c\"", "1 ± 2"], ["d_e", "-"]];
+        let cells = cells.map(|row| row.map(str::to_owned).to_vec()).to_vec();
+        assert_eq!(csv(&cells), "a,IoU (%)\r\n\"b, \"\"c\"\"\",1 ± 2\r\nd_e,-\r\n");
+        let rows = "b, \"c\" & $1 \\pm 2$ \\\\\nd\\_e & - \\\\\n";
+        let table = format!(
+            "\\begin{{tabular}}{{lr}}\n\\toprule\na & IoU (\\%) \\\\\n\\midrule\n{rows}\\bottomrule\n\\end{{tabular}}\n"
+        );
+        assert_eq!(latex(&cells), table);
     }
 
     #[test]

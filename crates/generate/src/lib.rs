@@ -8,12 +8,13 @@
 //! `sampler` define the noise levels and the denoising update. `window` computes the position of every frame
 //! of the window in its schedule, and `guidance` combines two predictions. Networks are exchangeable: the
 //! crate `pskel-network` has a small one, [`toy`] is a linear network for tests, and [`ProcessDenoiser`]
-//! calls a network in another process.
+//! calls a network in another process. An [`ImportSession`] takes the images of another program instead.
 
 mod conditions;
 mod denoiser;
 mod error;
 mod generator;
+mod imported;
 mod options;
 mod process;
 mod recordings;
@@ -38,6 +39,12 @@ pub use generator::cache::{Cache, CacheError};
 pub use generator::session::{AnyDenoiser, Session, SessionError, SessionParts};
 pub use generator::strategy::Strategy;
 pub use generator::window::{Progress, Roll};
+#[cfg(feature = "video")]
+pub use imported::export::ExportError;
+pub use imported::export::RolloutImages;
+pub use imported::folder::{ImageFolder, ImageLayout, ImportOptions};
+pub use imported::matching::{ClipFrames, ClipImages, Counted, ImportCounts};
+pub use imported::session::ImportSession;
 pub use options::GenerateOptions;
 pub use process::{DenoiserRig, ProcessDenoiser};
 pub use recordings::dataset_copy::{CopiedLog, DatasetCopy, ImageCounts};

@@ -26,8 +26,8 @@ const NETWORK_BYTES: u64 = 64 << 20;
 /// Bytes per pixel of all maps: color, depth bin, boxes, HD map.
 const MAP_BYTES: usize = 3 + 2 + 3 + 3;
 
-/// Default window of a network process, frames.
-const PROCESS_WINDOW: usize = 4;
+/// Default window of `fill` and of a network process, frames.
+pub const DEFAULT_WINDOW: usize = 4;
 
 /// Name of a network: `network`, `network:FILE`, `fill`, or `process:` with a command or an address.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
@@ -201,7 +201,7 @@ impl GeneratorSettings {
     }
 
     fn fill(&self, cameras: usize) -> Result<OpenedNetwork, OpenNetworkError> {
-        let options = self.options(PROCESS_WINDOW)?;
+        let options = self.options(DEFAULT_WINDOW)?;
         let recipe = self.recipe.clone().map_or_else(Weights::shipped_recipe, Ok)?;
         let filled = FilledColor::new(&recipe, cameras);
         Ok(OpenedNetwork {
@@ -219,7 +219,7 @@ impl GeneratorSettings {
     }
 
     fn start(&self, address: &PeerAddress, rig: &DenoiserRig) -> Result<OpenedNetwork, OpenNetworkError> {
-        let (options, recipe) = (self.options(PROCESS_WINDOW)?, self.recipe.clone().unwrap_or_default());
+        let (options, recipe) = (self.options(DEFAULT_WINDOW)?, self.recipe.clone().unwrap_or_default());
         let spec = PeerSpec { address: address.clone(), timeout_s: self.timeout_s };
         let denoiser = ProcessDenoiser::start(&spec, &options, rig, recipe.size)?;
         let (codec, size) = denoiser.codec()?;

@@ -28,7 +28,8 @@ pub use error::NetworkError;
 pub use fill::fill_holes;
 pub use fill::filled::FilledColor;
 pub use generator::{
-    GenerationScene, GeneratorReport, GeneratorSettings, NetworkName, OpenNetworkError, OpenedNetwork,
+    DEFAULT_WINDOW, GenerationScene, GeneratorReport, GeneratorSettings, NetworkName, OpenNetworkError,
+    OpenedNetwork,
 };
 pub use kernels::Attend;
 pub use network::Network;

@@ -225,6 +225,14 @@ impl Recording {
         }
     }
 
+    /// Returns the image of a camera that is nearest in time; the earlier one of two.
+    pub fn nearest_image(&self, camera: &str, t_us: i64) -> Option<&ImageRecord> {
+        let of_camera =
+            |record: &&ImageRecord| self.cameras.get(record.channel).is_some_and(|name| name == camera);
+        let all = self.frames.iter().flat_map(|frame| frame.images.iter().chain(&frame.between_images));
+        all.filter(of_camera).min_by_key(|record| (record.t_us.abs_diff(t_us), record.t_us))
+    }
+
     /// Returns the route at a time: the last frame's up to it, or else the first frame's.
     pub fn route_at(&self, t_us: i64) -> Option<&NavigationRoute> {
         let frame = self.frames.partition_point(|f| f.t_us <= t_us).saturating_sub(1);

@@ -10,7 +10,7 @@ use point_skeleton::error::FileError;
 use point_skeleton::files::FileName;
 use point_skeleton::files::input::is_there;
 use point_skeleton::geometry::ImageSize;
-use pskel_sim::report::images::{self, GENERATED, TRUTH};
+use pskel_sim::report::images::{self, GENERATED, ImageRows, TRUTH};
 use pskel_sim::report::{ROLLOUT, STATES, STEPS, StateFile, StepRow};
 use rayon::prelude::*;
 
@@ -110,7 +110,7 @@ impl GeneratedRollout {
     /// Reads vehicle masks `NNNNNN/CAM.png` of a step, of any size.
     pub(super) fn masks(&self, step: &Step, folder: &Path) -> Result<Vec<Vec<bool>>, FileError> {
         let path = |camera: &FileName| folder.join(&step.name).join(format!("{camera}.png"));
-        self.reduced(path, picture::mask)
+        self.reduced(path, None, picture::mask)
     }
 
     /// Returns the name of a step in messages.
@@ -143,18 +143,22 @@ impl GeneratedRollout {
         if !self.cameras.first().is_some_and(|camera| path(camera).exists()) {
             return Ok(None);
         }
-        self.reduced(path, read).map(Some)
+        self.reduced(path, images::rows(&step.folder)?, read).map(Some)
     }
 
-    /// Reads a file per camera, reduced to the size of the generated images.
+    /// Reads a file per camera, cropped to some rows and reduced to the size of the generated images.
     fn reduced<T: Copy + Send + Sync>(
         &self,
         path: impl Fn(&FileName) -> PathBuf + Sync,
+        rows: Option<ImageRows>,
         read: fn(&Path) -> Result<Read<T>, FileError>,
     ) -> Result<Vec<Vec<T>>, FileError> {
         let reduced = |(camera, to): (&FileName, &ImageSize)| {
             let (map, from) = read(&path(camera))?;
-            Ok(nearest(&map, from, *to))
+            let rows = rows.map_or(0..from.height, |rows| rows.range(from.height));
+            let pixel = |row: u32| (row * from.width) as usize;
+            let shown = ImageSize { height: rows.end - rows.start, ..from };
+            Ok(nearest(&map[pixel(rows.start)..pixel(rows.end)], shown, *to))
         };
         self.cameras.par_iter().zip(&self.sizes).map(reduced).collect()
     }

@@ -50,6 +50,28 @@ impl Clip {
     }
 }
 
+impl Clip {
+    /// Returns the times of its frames in a log, absolute microseconds, and their rate in hertz. They end
+    /// with the log if the ego follows it.
+    pub fn times_us(&self, log: &Recording, ego: &EgoPolicy) -> (Vec<i64>, f64) {
+        let last_us = log.frames.last().map_or(i64::MIN, |frame| frame.t_us);
+        match self.clock {
+            ClipClock::Frames(every) => {
+                let from = log.frames.iter().map(|frame| frame.t_us).filter(|t_us| *t_us >= self.start_us);
+                let hz = frame_rate_hz(&log.frames).unwrap_or(1.0) / every as f64;
+                (from.step_by(every).take(self.frames).collect(), hz)
+            }
+            ClipClock::Rates(Rates { sim_hz, plan_hz }) => {
+                let per_frame = (sim_hz / plan_hz).round();
+                let at =
+                    |frame: usize| self.start_us + (frame as f64 * per_frame * 1e6 / sim_hz).round() as i64;
+                let ends = *ego == EgoPolicy::Replay;
+                ((0..self.frames).map(at).take_while(|t_us| !ends || *t_us <= last_us).collect(), plan_hz)
+            }
+        }
+    }
+}
+
 impl Part {
     /// Returns its clips of a log with `rates` by default, for a generator with this number of reference
     /// frames. All lie within the log, except the first one if the log is shorter.
@@ -204,6 +226,14 @@ mod tests {
             assert_eq!((two.frames, two.steps(), two.clock), (19, 18, ClipClock::Frames(every)));
             let per_frame = steps / 26;
             assert_eq!((long.frames, long.steps(), long.start_us), (100, 99 * per_frame, 1_000_000));
+            // Both logs end after 19.5 s and more, the first 100 frames at 6 Hz after 16.5 s.
+            for (clip, expected) in [(&six, 27), (&two, 19), (&long, 100)] {
+                let (times, hz) = clip.times_us(&log, &EgoPolicy::Replay);
+                assert_eq!((times.len(), times[0], times[expected - 1]), {
+                    (expected, 1_000_000, 1_000_000 + ((expected - 1) as f64 / hz * 1e6).round() as i64)
+                });
+            }
+            assert_eq!(two.times_us(&log, &EgoPolicy::Replay).1, 2.0);
         }
         // 10 s at the planning rate of the log, 2 Hz.
         let change = clips(Protocol::LaneChange, 1, &log(40, 2)).remove(0);

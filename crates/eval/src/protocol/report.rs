@@ -15,7 +15,7 @@ use crate::{
 use pskel_sim::EgoPolicy;
 
 /// Metrics of generated images: name in [`Report::mean`], column, digits.
-const COLUMNS: [(&str, &str, usize); 6] = [
+pub(super) const COLUMNS: [(&str, &str, usize); 6] = [
     ("psnr_db", "PSNR (dB)", 2),
     ("ssim", "SSIM", 3),
     ("sharpness_ratio", "sharpness ratio", 2),
@@ -35,8 +35,25 @@ pub struct PartRollouts {
     pub frames: usize,
 }
 
+/// Method that generated the images.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct Method {
+    /// Name in tables.
+    pub name: String,
+    /// Number of leading frames of each clip that it was given.
+    pub references: usize,
+    /// What is unusual about its images, for tables.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub remark: Option<String>,
+    /// Images of another program: where they are, and counts of those that are missing.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub images: Option<serde_json::Value>,
+}
+
 /// How rollouts are scored.
 pub struct ScoreOptions<'a> {
+    /// Method that generated the images.
+    pub method: Method,
     /// Folder that contains all rollouts.
     pub root: &'a Path,
     /// Networks for FID, FVD and masks of vehicles.
@@ -51,6 +68,7 @@ pub struct ScoreOptions<'a> {
 #[derive(Debug, Serialize)]
 pub struct ProtocolReport {
     protocol: &'static str,
+    method: Method,
     logs: Logs,
     networks: NetworkPaths,
     mask_rule: MaskRule,
@@ -121,7 +139,7 @@ impl ProtocolReport {
         let defined = protocol.logs();
         let present = logs.iter().filter(|log| defined.contains(log)).count();
         let logs = Logs { defined: defined.len(), present, other: logs.len() - present };
-        let ScoreOptions { root, mut networks, mask_rule, cache } = options;
+        let ScoreOptions { method, root, mut networks, mask_rule, cache } = options;
         let recorded = parts.iter().find(|part| part.part.ego == EgoPolicy::Replay);
         let recorded = recorded.map(|part| part.folders.as_slice());
         let mut reports = Vec::new();
@@ -141,7 +159,7 @@ impl ProtocolReport {
             reports.push(PartReport { name, clips, frames, driving, fid, fvd, notes, images });
         }
         let networks = networks.paths().clone();
-        Ok(Self { protocol: protocol.name(), logs, networks, mask_rule, parts: reports })
+        Ok(Self { protocol: protocol.name(), method, logs, networks, mask_rule, parts: reports })
     }
 
     /// Returns notes on missing distances, with the names of their parts.
@@ -179,7 +197,10 @@ impl ProtocolReport {
         let missing: Vec<&str> =
             columns.into_iter().filter(|(_, is_missing)| *is_missing).map(|(text, _)| text).collect();
         let missing = if missing.is_empty() { String::new() } else { format!(" {}.", missing.join(", ")) };
-        markdown(&cells) + "\n" + &self.logs.sentence() + &missing + "\n"
+        let Method { name, remark, .. } = &self.method;
+        let remark = remark.as_ref().map_or(String::new(), |remark| format!(" ({remark})"));
+        let logs = self.logs.sentence();
+        markdown(&cells) + &format!("\nMethod {name}{remark}. {logs}{missing}\n")
     }
 }
 

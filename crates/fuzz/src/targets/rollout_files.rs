@@ -12,7 +12,7 @@ use point_skeleton::geometry::ImageSize;
 use point_skeleton::raster::{MapKind, MapSet, RasterizerDesc, RasterizerKind};
 use point_skeleton::skeleton::Skeleton;
 use point_skeleton::{RenderOptions, Renderer};
-use pskel_eval::protocol::{PartRollouts, Protocol, ProtocolReport, ScoreOptions, check_settings};
+use pskel_eval::protocol::{Method, PartRollouts, Protocol, ProtocolReport, ScoreOptions, check_settings};
 use pskel_eval::{MaskRule, MetricNetworks, NetworkPaths};
 use pskel_generate::{CopiedLog, DatasetCopy};
 use pskel_sim::report::images::StepImages;
@@ -62,7 +62,12 @@ impl ImageGenerator for Painter {
     fn generate(&mut self, _: &Simulation<'_>, _: &mut Renderer<'_>) -> Result<Option<StepImages>, AnyError> {
         self.frames += 1;
         let image = |level: u8| vec![RgbImage::from_pixel(12, 8, Rgb([level, 40 * self.frames, 90]))];
-        Ok(Some(StepImages { is_reference: self.frames == 1, images: image(60), truth: Some(image(50)) }))
+        Ok(Some(StepImages {
+            is_reference: self.frames == 1,
+            images: image(60),
+            truth: Some(image(50)),
+            rows: None,
+        }))
     }
 
     fn times(&self) -> GenerationTimes {
@@ -206,6 +211,7 @@ fn score(data: &[u8]) {
         let parts = [PartRollouts { part, folders: vec![root.join("rollout")], frames: STEPS }];
         let logs = ["made".to_owned()];
         let options = ScoreOptions {
+            method: Method::default(),
             root,
             networks: MetricNetworks::new(NetworkPaths::default()),
             mask_rule: MaskRule::default(),

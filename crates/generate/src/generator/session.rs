@@ -187,7 +187,7 @@ impl<'a> Session<'a> {
             times.truth_s = lap(&mut clock);
             self.times = times;
             let truth = self.has_truth().then(|| images.clone());
-            return Ok(StepImages { is_reference: true, images, truth });
+            return Ok(StepImages { is_reference: true, images, truth, rows: None });
         }
         let truth = self.has_truth().then(|| self.truth(drawn.get())).transpose()?;
         times.truth_s = lap(&mut clock);
@@ -200,7 +200,7 @@ impl<'a> Session<'a> {
         let images = self.parts.codec.decode(&latent, conditions.get())?;
         times.decode_s = lap(&mut clock);
         self.times = times;
-        Ok(StepImages { is_reference: false, images, truth })
+        Ok(StepImages { is_reference: false, images, truth, rows: None })
     }
 
     /// State for the next step, once frames are generated.

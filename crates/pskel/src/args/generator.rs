@@ -11,7 +11,7 @@ use point_skeleton::files::json;
 use point_skeleton::files::text::printable;
 use point_skeleton::named::UnknownName;
 use pskel_generate::{DenoiserRig, Guidance, GuidedConditions, Preset, Recipe, SamplerOptions, Strategy};
-use pskel_network::{GeneratorSettings, NetworkName, OpenedNetwork};
+use pskel_network::{DEFAULT_WINDOW, GeneratorSettings, NetworkName, OpenedNetwork};
 use pskel_sim::peer::MAX_TIMEOUT_S;
 
 use super::names::names;
@@ -103,6 +103,34 @@ impl GeneratorArgs {
         let Some((option, _, _, needs)) = unused else { return Ok(()) };
         let needs = if self.generator.is_none() { network } else { needs };
         Err(WrongUsage(format!("expected {needs} with {option}, found none")))
+    }
+
+    /// Rejects options that have no effect beside images of another program: all but `--window`.
+    pub(crate) fn check_images(&self) -> Result<(), WrongUsage> {
+        let options = [
+            ("--strategy", self.strategy.is_some()),
+            ("--infer-steps", self.infer_steps.is_some()),
+            ("--guidance", self.guidance.is_some()),
+            ("--guide", self.guide.is_some()),
+            ("--noise-seed", self.noise_seed.is_some()),
+            ("--sampler", self.sampler.is_some()),
+            ("--recipe", self.recipe.is_some()),
+            ("--captions", self.captions.is_some()),
+            ("--generator-timeout", self.generator_timeout.is_some()),
+        ];
+        let given = options.into_iter().find(|(_, is_given)| *is_given);
+        given.map_or(Ok(()), |(option, _)| {
+            Err(WrongUsage(format!("expected no option of a generator with --images, found {option}")))
+        })
+    }
+
+    /// Returns the number of frames in the window of images of another program.
+    pub(crate) fn images_window(&self) -> Result<usize, WrongUsage> {
+        let window = self.window.unwrap_or(DEFAULT_WINDOW);
+        if window == 0 {
+            return Err(WrongUsage("expected --window of 1 or more, found 0".to_owned()));
+        }
+        Ok(window)
     }
 
     /// Opens or starts the network for the cameras of a log; `None` without `--generator`.

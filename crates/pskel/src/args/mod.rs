@@ -3,6 +3,8 @@
 pub(crate) mod frames;
 #[cfg(feature = "network")]
 pub(crate) mod generator;
+#[cfg(feature = "network")]
+pub(crate) mod images;
 pub(crate) mod log;
 pub(crate) mod maps;
 #[cfg(feature = "network")]

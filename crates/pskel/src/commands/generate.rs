@@ -101,6 +101,7 @@ impl GenerateArgs {
             copies_dataset: self.dataset.is_some(),
             prompt: self.prompt,
             generator: self.generator,
+            images: None,
             maps: self.maps,
             substitutes: self.substitutes,
             rasterizer: self.rasterizer,

@@ -13,6 +13,8 @@ mod row;
 mod video;
 #[cfg(feature = "video")]
 pub mod video_frame;
+#[cfg(feature = "video")]
+mod video_frames;
 pub mod view;
 pub mod visibility;
 
@@ -28,3 +30,5 @@ pub const BIRDSEYE: &str = "birdseye.png";
 pub use row::{ActorRow, EgoRow, LightRow, Phase, StateFile, StepObservations, StepRow};
 #[cfg(feature = "video")]
 pub use video::{MAX_SIDE_PX, Video, VideoError};
+#[cfg(feature = "video")]
+pub use video_frames::VideoFrames;

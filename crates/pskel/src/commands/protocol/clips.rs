@@ -19,18 +19,22 @@ use point_skeleton::files::{Inputs, OutputFolder, write_json, write_whole};
 use point_skeleton::scene::{SelectionOptions, SubstituteOptions};
 use point_skeleton::skeleton;
 use pskel_eval::protocol::{
-    Clip, Part, PartRollouts, Protocol, ProtocolReport, ScoreOptions, check_settings,
+    Clip, Method, Part, PartRollouts, Protocol, ProtocolReport, ScoreOptions, check_settings,
 };
-use pskel_generate::{CopiedLog, DatasetCopy, DenoiserRig};
+use pskel_generate::{
+    ClipFrames, ClipImages, CopiedLog, Counted, DatasetCopy, DenoiserRig, ImageFolder, ImportCounts,
+    ImportOptions,
+};
 use pskel_sim::report::ROLLOUT;
 use pskel_sim::rollout::{self, InputPaths, RolloutInputs};
 use pskel_sim::{ActorPolicy, EgoPolicy, Rates, Scenario};
 use serde::Serialize;
-use serde_json::Value;
+use serde_json::{Value, json};
 
 use super::super::simulate::{self, ClipArgs, SimulateArgs};
 use super::logs::ProtocolLogs;
 use crate::args::generator::GeneratorArgs;
+use crate::args::images::ImageArgs;
 use crate::args::maps::MapArgs;
 use crate::args::metrics::MetricArgs;
 use crate::args::names::names;
@@ -71,6 +75,11 @@ pub(crate) struct ClipProtocolArgs {
     #[command(flatten)]
     generator: GeneratorArgs,
     #[command(flatten)]
+    images: ImageArgs,
+    /// Name of the method in tables [default: the generator's, or the folder of --images]
+    #[arg(long, value_name = "NAME")]
+    method: Option<String>,
+    #[command(flatten)]
     maps: MapArgs,
     #[command(flatten)]
     substitutes: SubstituteArgs,
@@ -85,7 +94,10 @@ pub(crate) struct ClipProtocolArgs {
 struct Settings<'a> {
     protocol: &'a str,
     actors: &'a str,
+    method: &'a str,
     generator: Value,
+    /// Images of another program: folder and options.
+    images: Option<(&'a Path, ImportOptions)>,
     maps: ConditionOptions,
     selection: SelectionOptions,
     format: MapFormat,
@@ -111,6 +123,8 @@ struct Run<'a> {
     files: &'a OutputFolder,
     /// Number of reference frames of the generator.
     references: usize,
+    /// Images of another program, and what was found of them.
+    images: Option<(ImageFolder, ImportCounts)>,
     /// Parts and their rollouts so far.
     parts: Vec<PartRollouts>,
     /// Logs whose images are copied into a data set, with their rollouts.
@@ -123,6 +137,9 @@ struct Run<'a> {
 pub(super) fn run(protocol: Protocol, args: &ClipProtocolArgs) -> anyhow::Result<()> {
     let start = Instant::now();
     args.generator.check()?;
+    if args.images.are_given() {
+        args.generator.check_images()?;
+    }
     args.maps.check()?;
     let parts = args.parts(protocol)?;
     let opener = Arc::default();
@@ -137,7 +154,9 @@ pub(super) fn run(protocol: Protocol, args: &ClipProtocolArgs) -> anyhow::Result
     let references = args.settle(protocol, &logs, &opener, &files)?;
     let parts = parts.into_iter().map(|part| PartRollouts { part, folders: Vec::new(), frames: 0 }).collect();
     let (copied, names) = Default::default();
-    let mut run = Run { protocol, args, opener, copy, files: &files, references, parts, copied, logs: names };
+    let images = args.images.open()?.map(|folder| (folder, ImportCounts::default()));
+    let mut run =
+        Run { protocol, args, opener, copy, files: &files, references, images, parts, copied, logs: names };
     let mut failures = 0_usize;
     for locator in &logs {
         if let Err(error) = run.generate(locator) {
@@ -165,6 +184,7 @@ impl ClipProtocolArgs {
         Inputs::new(log_paths)
             .and(&self.prompt.annotations)
             .and(self.generator.inputs())
+            .and(self.images.inputs())
             .and(self.substitutes.inputs())
             .and(self.metrics.inputs())
     }
@@ -219,12 +239,20 @@ impl ClipProtocolArgs {
         let first = logs.first().context("expected a recording, found none")?;
         let log = logs::open_by(first, opener)?;
         let rates = Rates::of(first.format);
-        let opened = self.generator.open(&DenoiserRig::of(log.recording(), rates.plan_hz))?;
-        let opened = opened.context("expected a network for --generator, found none")?;
+        let images = self.images.folder().zip(self.images.options()?);
+        let (generator, window) = if images.is_some() {
+            (Value::Null, self.generator.images_window()?)
+        } else {
+            let opened = self.generator.open(&DenoiserRig::of(log.recording(), rates.plan_hz))?;
+            let opened = opened.context("expected a network for --generator, found none")?;
+            (serde_json::to_value(opened.report())?, opened.window())
+        };
         let settings = serde_json::to_value(Settings {
             protocol: protocol.name(),
             actors: self.actors.name(),
-            generator: serde_json::to_value(opened.report())?,
+            method: &self.method_name(),
+            generator,
+            images,
             maps: self.maps.conditions(self.maps.maps.unwrap_or_default()),
             selection: self.maps.selection(),
             format: self.maps.format,
@@ -236,7 +264,15 @@ impl ClipProtocolArgs {
         let path = files.claim("protocol.json")?;
         check_settings(&path, &settings)?;
         write_json(&path, &settings)?;
-        Ok(opened.window() - 1)
+        Ok(window - 1)
+    }
+
+    /// Returns the name of the method in tables.
+    fn method_name(&self) -> String {
+        let folder = self.images.folder().map(|folder| folder.file_name().unwrap_or(folder.as_os_str()));
+        let generator = self.generator.generator.as_ref().map(ToString::to_string);
+        let default = folder.map(|name| name.to_string_lossy().into_owned()).or(generator);
+        self.method.clone().or(default).unwrap_or_default()
     }
 }
 
@@ -262,15 +298,33 @@ impl Run<'_> {
         };
         let prompt = &self.args.prompt.read()?;
         let inputs = RolloutInputs { scenario: &scenario, skeleton: &built, prompt, paths };
-        let mut done = Vec::new();
+        let (mut done, mut counts) = (Vec::new(), ImportCounts::default());
         for (place, PartRollouts { part, .. }) in self.parts.iter().enumerate() {
             let clips = part.clips(log, rates, self.references);
             let clips = clips.with_context(|| format!("part {}", part.name))?;
+            let is_only = clips.len() == 1;
             for clip in clips.into_iter().take(limit) {
+                let images = self.images.as_mut().map(|(folder, _)| {
+                    let (times_us, hz) = clip.times_us(log, &part.ego);
+                    folder.clip(&ClipFrames {
+                        part: part.name,
+                        name: &clip.name,
+                        log,
+                        times_us,
+                        hz,
+                        references: self.references,
+                        follows_log: part.ego == EgoPolicy::Replay,
+                        is_only,
+                    })
+                });
+                let images = images.transpose()?;
+                if let Some(images) = &images {
+                    counts.merge(images.counts.clone());
+                }
                 let out = self.files.folder(Path::new(part.name).join(&clip.name))?;
                 match rollout::is_finished(&out)? {
                     true => rollout::check_finished(&out, &inputs).map_err(anyhow::Error::from),
-                    false => self.generate_clip(locator, &skeleton, part, &clip, &out),
+                    false => self.generate_clip(locator, &skeleton, (part, &clip), images, &out),
                 }
                 .with_context(|| format!("part {}, clip {}", part.name, clip.name))?;
                 done.push((place, clip, out));
@@ -278,6 +332,7 @@ impl Run<'_> {
         }
         // A log counts only as a whole.
         self.logs.push(log.name.clone());
+        self.images.iter_mut().for_each(|(_, all)| all.merge(counts.clone()));
         for (place, clip, out) in done {
             let part = &mut self.parts[place];
             if part.part.copies_dataset {
@@ -294,8 +349,8 @@ impl Run<'_> {
         &self,
         locator: &LogLocator,
         skeleton: &Path,
-        part: &Part,
-        clip: &Clip,
+        (part, clip): (&Part, &Clip),
+        images: Option<ClipImages>,
         out: &Path,
     ) -> anyhow::Result<()> {
         let args = self.args;
@@ -320,6 +375,7 @@ impl Run<'_> {
             copies_dataset: false,
             prompt: args.prompt.clone(),
             generator: args.generator.clone(),
+            images,
             maps: args.maps.clone(),
             substitutes: args.substitutes.clone(),
             rasterizer: args.rasterizer.clone(),
@@ -329,6 +385,28 @@ impl Run<'_> {
         Ok(())
     }
 
+    /// Returns the method with the counts of its images, which are also printed.
+    fn method(&self) -> anyhow::Result<Method> {
+        let (name, references) = (self.args.method_name(), self.references);
+        let method = Method { name, references, remark: self.args.images.remark(), images: None };
+        let Some((folder, counts)) = &self.images else { return Ok(method) };
+        let mut unknown = Counted::default();
+        folder.unknown().for_each(|path| unknown.add(|| path.display().to_string()));
+        let named = [
+            (&counts.missing, "missing"),
+            (&counts.doubled, "doubled, the first by name is used"),
+            (&counts.wrong_size, "of another size, not used"),
+            (&unknown, "of no clip"),
+        ];
+        for (Counted { count, first }, kind) in named.into_iter().filter(|(counted, _)| counted.count > 0) {
+            let first = first.as_deref().unwrap_or_default();
+            print_progress(&format!("images {kind}: {count}, first {first}"));
+        }
+        let images = json!({"folder": self.args.images.folder(), "options": folder.options(),
+                            "counts": counts, "unknown": unknown});
+        Ok(Method { images: Some(images), ..method })
+    }
+
     /// Scores all rollouts, writes and prints the table, and writes the copy of the data set.
     fn finish(self, dataset: &Path) -> anyhow::Result<()> {
         let progress = RefCell::new(None);
@@ -336,6 +414,7 @@ impl Run<'_> {
         let mut on_step =
             |name: &str| progress.borrow_mut().iter_mut().for_each(|progress| progress.step(name));
         let options = ScoreOptions {
+            method: self.method()?,
             root: self.args.given.folder.out.as_path(),
             networks: self.args.metrics.networks(),
             mask_rule: self.args.metrics.mask_rule,

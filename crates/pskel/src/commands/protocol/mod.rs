@@ -1,9 +1,11 @@
 //! `pskel protocol`: [`clips`] generates and scores the clips of a protocol, [`ablation`] the same frames
-//! with variants of the generator.
+//! with variants of the generator. [`table`] joins results, [`export`] writes images for other programs.
 
 mod ablation;
 mod clips;
+mod export;
 mod logs;
+mod table;
 
 use clap::Subcommand;
 use point_skeleton::named::Named as _;
@@ -11,6 +13,8 @@ use pskel_eval::protocol::Protocol;
 
 use self::ablation::AblationArgs;
 use self::clips::ClipProtocolArgs;
+use self::export::ExportImagesArgs;
+use self::table::TableArgs;
 
 /// Evaluation protocols.
 #[derive(Debug, Subcommand)]
@@ -22,6 +26,8 @@ pub(crate) enum ProtocolCommand {
     #[command(about = Protocol::LaneChange.help())]
     LaneChange(Box<ClipProtocolArgs>),
     Ablation(Box<AblationArgs>),
+    Table(TableArgs),
+    Export(ExportImagesArgs),
 }
 
 /// Runs the command.
@@ -31,5 +37,7 @@ pub(crate) fn run(command: ProtocolCommand) -> anyhow::Result<()> {
         ProtocolCommand::NuscenesVal(args) => clips::run(Protocol::NuscenesVal, &args),
         ProtocolCommand::LaneChange(args) => clips::run(Protocol::LaneChange, &args),
         ProtocolCommand::Ablation(args) => ablation::run(&args),
+        ProtocolCommand::Table(args) => table::run(&args),
+        ProtocolCommand::Export(args) => export::run(&args),
     }
 }

@@ -12,6 +12,8 @@ use point_skeleton::files::{Inputs as InputPaths, OutputFile};
 use point_skeleton::scene::{EgoOffset, SceneMap, frame_rate_hz};
 #[cfg(feature = "network")]
 use pskel_eval::protocol::ClipClock;
+#[cfg(feature = "network")]
+use pskel_generate::ClipImages;
 #[cfg(feature = "mcap")]
 use pskel_sim::rollout::MCAP;
 use pskel_sim::rollout::Profile;
@@ -94,6 +96,10 @@ pub(crate) struct SimulateArgs {
     /// Whether generated images replace the data set's; used by `pskel generate`.
     #[arg(skip)]
     copies_dataset: bool,
+    /// Images of another program in the place of a generator; used by `pskel protocol`.
+    #[cfg(feature = "network")]
+    #[arg(skip)]
+    pub(super) images: Option<ClipImages>,
     /// Keeps the tables of a data set between its logs; used by `pskel protocol`.
     #[arg(skip)]
     opener: Arc<LogOpener>,
@@ -127,6 +133,8 @@ pub(crate) struct ClipArgs {
     pub(crate) copies_dataset: bool,
     pub(crate) prompt: PromptArgs,
     pub(crate) generator: GeneratorArgs,
+    /// Images of another program in the place of the generator's.
+    pub(crate) images: Option<ClipImages>,
     pub(crate) maps: MapArgs,
     pub(crate) substitutes: SubstituteArgs,
     pub(crate) rasterizer: RasterizerArgs,
@@ -161,6 +169,7 @@ impl SimulateArgs {
             ego_offset: clip.ego_offset,
             least_warmup: clip.least_warmup,
             copies_dataset: clip.copies_dataset,
+            images: clip.images,
             opener: clip.opener,
         }
     }

@@ -1,41 +1,54 @@
 use point_skeleton::conditions::FrameCaptions;
 use point_skeleton::dataset::Recording;
 use point_skeleton::scene::GroundTruthImages;
-use pskel_generate::DenoiserRig;
+use pskel_generate::{ClipImages, DenoiserRig, ImportSession};
 use pskel_network::{GenerationScene, OpenedNetwork};
 use pskel_sim::rollout::ImageGenerator;
-use serde_json::Value;
+use serde_json::{Value, json};
 
+use crate::commands::simulate::args::SimulateArgs;
 use crate::commands::simulate::inputs::Inputs;
 
 pub(crate) use crate::args::generator::GeneratorArgs;
 
-/// The opened network, and the captions of the log.
-pub(crate) struct Opened {
-    network: OpenedNetwork,
-    captions: Option<FrameCaptions>,
+/// The source of generated images.
+pub(crate) enum Opened {
+    /// The opened network, and the captions of the log.
+    Network(Box<OpenedNetwork>, Option<FrameCaptions>),
+    /// Images of another program.
+    Images(ClipImages),
 }
 
 impl Opened {
-    /// Opens the network for a log that is generated at `fps` frames per second.
-    pub(crate) fn open(args: &GeneratorArgs, log: &Recording, fps: f64) -> anyhow::Result<Option<Self>> {
-        if args.generator.is_none() {
+    /// Opens the network for a log that is generated at `fps` frames per second, unless images are given.
+    pub(crate) fn open(args: &SimulateArgs, log: &Recording, fps: f64) -> anyhow::Result<Option<Self>> {
+        if let Some(images) = &args.images {
+            return Ok(Some(Self::Images(images.clone())));
+        }
+        if args.generator.generator.is_none() {
             return Ok(None);
         }
-        let captions = args.captions(log)?;
-        let network = args.open(&DenoiserRig::of(log, fps))?;
-        Ok(network.map(|network| Self { network, captions }))
+        let captions = args.generator.captions(log)?;
+        let network = args.generator.open(&DenoiserRig::of(log, fps))?;
+        Ok(network.map(|network| Self::Network(Box::new(network), captions)))
     }
 
     /// Returns the number of frames in the window.
     pub(crate) fn window(&self) -> usize {
-        self.network.window()
+        match self {
+            Self::Network(network, _) => network.window(),
+            Self::Images(images) => images.window(),
+        }
     }
 
     /// Returns network and options for `rollout.json`.
     pub(crate) fn record(&self) -> serde_json::Result<Value> {
-        let mut record = serde_json::to_value(self.network.report())?;
-        if let (Some(fields), Some(captions)) = (record.as_object_mut(), &self.captions) {
+        let (network, captions) = match self {
+            Self::Network(network, captions) => (network, captions),
+            Self::Images(images) => return Ok(json!({"size": images.size(), "window": images.window()})),
+        };
+        let mut record = serde_json::to_value(network.report())?;
+        if let (Some(fields), Some(captions)) = (record.as_object_mut(), captions) {
             fields.insert("captions".to_owned(), serde_json::to_value(captions)?);
         }
         Ok(record)
@@ -43,24 +56,29 @@ impl Opened {
 
     /// Returns a line for the web page.
     pub(crate) fn fact(&self) -> String {
-        self.network.report().fact()
+        match self {
+            Self::Network(network, _) => network.report().fact(),
+            Self::Images(images) => format!("images of {} by another program", images.size()),
+        }
     }
 
     /// Creates the generator. `follow_log`: whether ego and other actors follow the log in the whole rollout.
     pub(crate) fn session<'a>(
         self,
         inputs: &'a Inputs,
-        [ego_follows_log, actors_follow_log]: [bool; 2],
+        follow_log: [bool; 2],
     ) -> anyhow::Result<Box<dyn ImageGenerator + 'a>> {
-        let scene = GenerationScene {
-            log: inputs.log.recording(),
-            map: inputs.map.clone(),
-            prompt: &inputs.prompt,
-            captions: self.captions,
-            truth: GroundTruthImages::new(inputs.log.reader()),
-            ego_follows_log,
-            actors_follow_log,
+        let (log, truth) = (inputs.log.recording(), GroundTruthImages::new(inputs.log.reader()));
+        let map = inputs.map.clone();
+        let (network, captions) = match self {
+            Self::Network(network, captions) => (network, captions),
+            Self::Images(images) => {
+                return Ok(Box::new(ImportSession::new(images, log, map, truth, follow_log)));
+            }
         };
-        Ok(Box::new(self.network.session(&scene)?))
+        let [ego_follows_log, actors_follow_log] = follow_log;
+        let prompt = &inputs.prompt;
+        let scene = GenerationScene { log, map, prompt, captions, truth, ego_follows_log, actors_follow_log };
+        Ok(Box::new(network.session(&scene)?))
     }
 }

@@ -6,6 +6,7 @@ use pskel_sim::rollout::ImageGenerator;
 use serde_json::Value;
 
 use crate::WrongUsage;
+use crate::commands::simulate::args::SimulateArgs;
 use crate::commands::simulate::inputs::Inputs;
 
 /// No options.
@@ -30,7 +31,7 @@ impl GeneratorArgs {
 }
 
 impl Opened {
-    pub(crate) fn open(_: &GeneratorArgs, _log: &Recording, _fps: f64) -> anyhow::Result<Option<Self>> {
+    pub(crate) fn open(_: &SimulateArgs, _log: &Recording, _fps: f64) -> anyhow::Result<Option<Self>> {
         Ok(None)
     }
 

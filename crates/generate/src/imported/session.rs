@@ -1,0 +1,185 @@
+use std::sync::Arc;
+use std::time::Instant as Clock;
+
+use image::RgbImage;
+use image::imageops::crop_imm;
+use point_skeleton::Renderer;
+use point_skeleton::dataset::{Recording, read_picture};
+use point_skeleton::error::FileError;
+use point_skeleton::geometry::{ImageSize, View};
+use point_skeleton::scene::{GroundTruthError, GroundTruthImages, SceneMap};
+use pskel_sim::report::images::{ImageRows, StepImages};
+use pskel_sim::rollout::{AnyError, GenerationTimes, ImageGenerator, lap};
+use pskel_sim::{Committed, Instant, Simulation, scene_state};
+use rayon::prelude::*;
+
+use super::matching::{ClipImages, FrameImage};
+
+/// Reads images of another program in the place of a generator.
+pub struct ImportSession<'a> {
+    images: ClipImages,
+    log: &'a Recording,
+    map: Option<Arc<SceneMap>>,
+    truth: GroundTruthImages<'a>,
+    /// Whether ego and actors follow the log in the whole rollout.
+    follow_log: [bool; 2],
+    /// Open videos, in the order of the cameras.
+    #[cfg(feature = "video")]
+    videos: Vec<Option<pskel_sim::report::VideoFrames>>,
+    times: GenerationTimes,
+}
+
+impl ClipImages {
+    /// Returns the number of frames in the window: the references and the frame that is generated.
+    pub fn window(&self) -> usize {
+        self.references + 1
+    }
+
+    /// Returns the size of the images.
+    pub fn size(&self) -> ImageSize {
+        self.size
+    }
+}
+
+impl<'a> ImportSession<'a> {
+    /// Starts a rollout. `follow_log`: whether the ego and the actors follow the log in the whole rollout.
+    pub fn new(
+        images: ClipImages,
+        log: &'a Recording,
+        map: Option<Arc<SceneMap>>,
+        truth: GroundTruthImages<'a>,
+        follow_log: [bool; 2],
+    ) -> Self {
+        #[cfg(feature = "video")]
+        let videos = log.rig.iter().map(|_| None).collect();
+        Self {
+            images,
+            log,
+            map,
+            truth,
+            follow_log,
+            #[cfg(feature = "video")]
+            videos,
+            times: GenerationTimes::default(),
+        }
+    }
+
+    /// Returns the ground-truth images of an instant, cropped to the rows of the images.
+    fn truth(&self, instant: &Instant) -> Result<Vec<RgbImage>, GroundTruthError> {
+        let ClipImages { size, rows, .. } = &self.images;
+        let whole = rows.map_or(*size, |rows| rows.whole(*size));
+        let state = scene_state(self.log, instant, self.map.clone());
+        let drawn =
+            |view: &View| View { camera: view.camera.resized(whole.height, whole.width), ..view.clone() };
+        let images = self.truth.of(&state, drawn, whole, self.follow_log[1])?;
+        Ok(match rows {
+            Some(rows) => images.iter().map(|image| crop(image, *rows, *size)).collect(),
+            None => images,
+        })
+    }
+
+    /// Reads the images of a frame.
+    fn read(&mut self, images: &[FrameImage]) -> Result<Vec<RgbImage>, FileError> {
+        if let [first, second, ..] = images
+            && first == second
+        {
+            // One camera stands for all.
+            let read = self.read(&images[..1])?;
+            return Ok(read.into_iter().cycle().take(images.len()).collect());
+        }
+        let ImageSize { height, width } = self.images.size;
+        let file = |image: &FrameImage| match image.video_frame {
+            None => read_picture(&image.path, height, width).map(Some),
+            Some(_) => Ok(None),
+        };
+        let files = images.par_iter().map(file).collect::<Result<Vec<_>, _>>()?;
+        let of_camera = |(camera, (read, image)): (usize, (Option<RgbImage>, &FrameImage))| match read {
+            Some(read) => Ok(read),
+            None => self.video_frame(camera, image),
+        };
+        files.into_iter().zip(images).enumerate().map(of_camera).collect()
+    }
+
+    /// Reads a frame of a camera's video.
+    #[cfg(feature = "video")]
+    fn video_frame(&mut self, camera: usize, image: &FrameImage) -> Result<RgbImage, FileError> {
+        let number = image.video_frame.unwrap_or_default();
+        let opened = self.videos[camera].take().filter(|video| video.is_before(&image.path, number));
+        let mut video = opened.map_or_else(|| pskel_sim::report::VideoFrames::open(&image.path), Ok)?;
+        let found = video.frame(number)?;
+        self.videos[camera] = Some(video);
+        Ok(found)
+    }
+
+    /// There are no frames of videos without the feature.
+    #[cfg(not(feature = "video"))]
+    fn video_frame(&mut self, _camera: usize, image: &FrameImage) -> Result<RgbImage, FileError> {
+        Err(FileError::content("a program with the feature video", "one without", &image.path))
+    }
+}
+
+/// Returns the rows of a whole image, `size` in total.
+fn crop(image: &RgbImage, rows: ImageRows, size: ImageSize) -> RgbImage {
+    let top = rows.range(image.height()).start.min(image.height() - size.height);
+    crop_imm(image, 0, top, size.width, size.height).to_image()
+}
+
+impl ImageGenerator for ImportSession<'_> {
+    fn generate(
+        &mut self,
+        simulation: &Simulation<'_>,
+        _renderer: &mut Renderer<'_>,
+    ) -> Result<Option<StepImages>, AnyError> {
+        let instant = (*simulation.committed().get()).clone();
+        let per_plan = simulation.steps_per_plan();
+        if !instant.step.is_multiple_of(per_plan) {
+            return Ok(None);
+        }
+        let (frame, rows) = (instant.step / per_plan, self.images.rows);
+        let mut clock = Clock::now();
+        let mut times = GenerationTimes::default();
+        let is_reference = frame < self.images.references;
+        let found = self.images.frames.get(frame).cloned().flatten();
+        if !is_reference && found.is_none() {
+            return Ok(None);
+        }
+        let truth = (is_reference || self.has_truth()).then(|| self.truth(&instant)).transpose()?;
+        times.truth_s = lap(&mut clock);
+        let images = match (&truth, found) {
+            (Some(truth), _) if is_reference => truth.clone(),
+            (_, Some(found)) => self.read(&found)?,
+            _ => return Ok(None),
+        };
+        times.decode_s = lap(&mut clock);
+        self.times = times;
+        let truth = truth.filter(|_| self.has_truth());
+        Ok(Some(StepImages { is_reference, images, truth, rows }))
+    }
+
+    fn times(&self) -> GenerationTimes {
+        self.times
+    }
+
+    fn save(&self) -> Result<Option<Vec<u8>>, AnyError> {
+        Ok(None)
+    }
+
+    fn resume(
+        &mut self,
+        _frames: usize,
+        _last: &[Committed<Instant>],
+        _saved: Option<&[u8]>,
+        _renderer: &mut Renderer<'_>,
+    ) -> Result<(), AnyError> {
+        Ok(())
+    }
+
+    fn window(&self) -> usize {
+        self.images.window()
+    }
+
+    fn has_truth(&self) -> bool {
+        let [ego, actors] = self.follow_log;
+        self.truth.are_known(ego, actors)
+    }
+}
