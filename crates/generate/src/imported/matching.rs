@@ -312,14 +312,13 @@ impl ImageFolder {
             return Ok(size == first);
         }
         let rig = log.rig.iter().find(|rig| rig.camera.name == *camera);
-        if let Some(recorded) = rig.map(|rig| ImageSize::of(&rig.camera)) {
-            let shown = self.options.rows.map_or(1.0, |rows| rows.share());
-            let expected = f64::from(recorded.width) / (f64::from(recorded.height) * shown);
-            let found = f64::from(size.width) / f64::from(size.height);
-            if (found / expected - 1.0).abs() > SHAPE_TOLERANCE {
-                let rows =
-                    if self.options.rows.is_some() { "these rows" } else { "all rows (or --image-rows)" };
-                let expected = format!("images of the shape of {rows} of {camera}, {recorded}");
+        let recorded = rig.map(|rig| ImageSize::of(&rig.camera)).filter(|_| self.options.rows.is_none());
+        if let Some(recorded) = recorded {
+            let shape = |size: ImageSize| f64::from(size.width) / f64::from(size.height);
+            if (shape(size) / shape(recorded) - 1.0).abs() > SHAPE_TOLERANCE {
+                let expected = format!(
+                    "images of the shape of {camera}, {recorded}, or --image-rows (0..1/1 if they show all rows)"
+                );
                 return Err(FileError::content(expected, size.to_string(), path));
             }
         }

@@ -144,6 +144,7 @@ pub(super) fn run(protocol: Protocol, args: &ClipProtocolArgs) -> anyhow::Result
     let parts = args.parts(protocol)?;
     let opener = Arc::default();
     let logs = args.logs(protocol, &opener)?;
+    let images = args.images.open()?.map(|folder| (folder, ImportCounts::default()));
     let copied = parts.iter().find(|part| part.copies_dataset);
     copied.map_or(Ok(()), |part| check_one_dataset(part, &logs))?;
     let files = OutputFolder::open(&args.given.folder.out, "protocol", &args.inputs(&logs))?;
@@ -154,7 +155,6 @@ pub(super) fn run(protocol: Protocol, args: &ClipProtocolArgs) -> anyhow::Result
     let references = args.settle(protocol, &logs, &opener, &files)?;
     let parts = parts.into_iter().map(|part| PartRollouts { part, folders: Vec::new(), frames: 0 }).collect();
     let (copied, names) = Default::default();
-    let images = args.images.open()?.map(|folder| (folder, ImportCounts::default()));
     let mut run =
         Run { protocol, args, opener, copy, files: &files, references, images, parts, copied, logs: names };
     let mut failures = 0_usize;

@@ -11,6 +11,7 @@ pub(super) mod export;
 pub(super) mod formats;
 pub(super) mod generated;
 pub(super) mod golden;
+pub(super) mod images;
 pub(super) mod info;
 pub(super) mod outputs;
 pub(super) mod protocol;

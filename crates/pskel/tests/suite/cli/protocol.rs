@@ -64,7 +64,8 @@ fn scenes_are_generated_scored_and_copied_into_one_data_set() {
     assert!(text.lines().nth(2).unwrap().starts_with("| 2hz | 2 | 4 of 32 | "), "{text}");
     let networks = "FID needs --inception, FVD needs --i3d, IoU needs --segmentor.";
     let logs = "Not comparable with the protocol: 0 of its 150 logs, 2 others.";
-    assert!(text.ends_with(&format!("\n{logs} {networks}\n")), "{text}");
+    let method = "Method process:./denoiser.sh.";
+    assert!(text.ends_with(&format!("\n{method} {logs} {networks}\n")), "{text}");
     let results = log.json("out/results.json");
     assert_eq!(results["logs"], json!({"defined": 150, "present": 0, "other": 2}));
     // Names in the results do not depend on where the output folder is.
