@@ -19,7 +19,7 @@ mod options;
 mod process;
 mod recordings;
 
-pub use conditions::condition::{Condition, DroppedConditions, GuidedConditions};
+pub use conditions::condition::{Condition, ConditionKind, DroppedConditions, GuidedConditions};
 pub use conditions::conditioner::{Conditioner, ConditionerError, RenderedConditions};
 pub use conditions::frame_conditions::{CAMERA_NUMBERS, FrameConditions, NO_ACTION, NO_COLOR};
 pub use conditions::preset::Preset;

@@ -11,8 +11,9 @@ use point_skeleton::geometry::ImageSize;
 use point_skeleton::memory::{MemoryError, Need, reserve};
 use point_skeleton::scene::{GroundTruthImages, SceneMap};
 use pskel_generate::{
-    AnyDenoiser, Codec, Conditioner, DenoiserError, DenoiserRig, GenerateError, GenerateOptions, Guidance,
-    ProcessDenoiser, Recipe, SamplerOptions, Session, SessionError, SessionParts, Strategy,
+    AnyDenoiser, Codec, Conditioner, DenoiserError, DenoiserRig, DroppedConditions, GenerateError,
+    GenerateOptions, Guidance, ProcessDenoiser, Recipe, SamplerOptions, Session, SessionError, SessionParts,
+    Strategy,
 };
 use pskel_sim::peer::{PeerAddress, PeerError, PeerSpec};
 use serde::Serialize;
@@ -56,6 +57,8 @@ pub struct GeneratorSettings {
     pub sampler: SamplerOptions,
     /// Classifier-free guidance.
     pub guidance: Guidance,
+    /// Conditions that the network does not get.
+    pub without: DroppedConditions,
     /// Seed of the noise.
     pub noise_seed: u64,
     /// Conditions of a network process and of `fill`; other networks have their own. `None` for the default
@@ -74,6 +77,7 @@ impl Default for GeneratorSettings {
             strategy: Strategy::ResetAndRoll,
             sampler: SamplerOptions::default(),
             guidance: Guidance::default(),
+            without: DroppedConditions::default(),
             noise_seed: 0,
             recipe: None,
             timeout_s: 60.0,
@@ -88,6 +92,7 @@ pub struct OpenedNetwork {
     recipe: Recipe,
     size: ImageSize,
     options: GenerateOptions,
+    without: DroppedConditions,
     seed: u64,
     about: Option<Provenance>,
     fingerprint: Option<String>,
@@ -108,6 +113,8 @@ pub struct GeneratorReport {
     recipe: Recipe,
     #[serde(flatten)]
     options: GenerateOptions,
+    #[serde(skip_serializing_if = "is_default")]
+    without: DroppedConditions,
     noise_seed: u64,
 }
 
@@ -194,6 +201,7 @@ impl GeneratorSettings {
             denoiser: Box::new(network),
             recipe,
             options,
+            without: self.without,
             seed: self.noise_seed,
             name: NetworkName::Network(path.map(Path::to_owned)),
             activations,
@@ -212,6 +220,7 @@ impl GeneratorSettings {
             denoiser: Box::new(filled),
             recipe,
             options,
+            without: self.without,
             seed: self.noise_seed,
             name: NetworkName::Fill,
             activations: 0,
@@ -231,6 +240,7 @@ impl GeneratorSettings {
             denoiser: Box::new(denoiser),
             recipe,
             options,
+            without: self.without,
             seed: self.noise_seed,
             name: NetworkName::Process(address.clone()),
             activations: 0,
@@ -268,6 +278,7 @@ impl OpenedNetwork {
             size: self.size,
             recipe: self.recipe.clone(),
             options: self.options,
+            without: self.without,
             noise_seed: self.seed,
         }
     }
@@ -298,7 +309,8 @@ impl OpenedNetwork {
     pub fn session<'a>(self, scene: &GenerationScene<'a>) -> Result<Session<'a>, SessionError> {
         let prompt = scene.prompt.prompt().unwrap_or_default();
         let conditioner = Conditioner::new(scene.log, scene.map.clone(), &self.recipe, &prompt)
-            .with_captions(scene.captions.clone());
+            .with_captions(scene.captions.clone())
+            .without(self.without);
         let parts = SessionParts {
             conditioner,
             truth: scene.truth,
@@ -318,6 +330,11 @@ impl OpenedNetwork {
 fn activations(config: &NetworkConfig) -> usize {
     let [half, quarter, ..] = config.decoder;
     PLANES + (4 * half + 2 * quarter) / 4 + 3
+}
+
+/// Returns whether no conditions are dropped.
+fn is_default(dropped: &DroppedConditions) -> bool {
+    *dropped == DroppedConditions::default()
 }
 
 impl GeneratorReport {

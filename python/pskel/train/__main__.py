@@ -16,6 +16,7 @@ from typing import Any
 
 from .config import Config, DataOptions, TrainOptions
 from .errors import ConfigError, TrainError
+from .variants import VARIANTS
 
 PROGRAM = "pskel.train"
 
@@ -57,6 +58,11 @@ def _parser() -> argparse.ArgumentParser:
         dest="settings",
         help="change the configuration: train.batch=2",
     )
+    parser.add_argument(
+        "--variant",
+        metavar="NAME",
+        help=f"train as a row of the paper's ablation; --set comes after it: {', '.join(VARIANTS)}",
+    )
     parser.add_argument("--steps", type=int, metavar="N", help="the same as --set train.steps=N")
     return parser
 
@@ -75,7 +81,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = _parser().parse_args(arguments)
     settings = [*options.settings, *([] if options.steps is None else [f"train.steps={options.steps}"])]
     try:
-        config = Config.read(options.config, settings)
+        config = Config.read(options.config, settings, options.variant)
         try:
             from .loop import train
         except ImportError as error:

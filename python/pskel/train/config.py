@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, TypeVar, get_type_hints
 
 from .errors import ConfigError, first_line
+from .variants import settings_of
 
 __all__ = ["Config", "DataOptions", "TrainOptions", "read_document", "with_settings"]
 
@@ -140,10 +141,15 @@ class Config:
     """The network's own table: ``[small]``, ``[pas]``, ``[pas-image]``, or ``[options]``."""
 
     @classmethod
-    def read(cls, path: str | os.PathLike[str], settings: Sequence[str] = ()) -> Config:
-        """Read a file, and change it by texts ``KEY=VALUE``. Raises ``ConfigError``, which names the file."""
+    def read(cls, path: str | os.PathLike[str], settings: Sequence[str] = (), variant: str | None = None) -> Config:
+        """Read a file, and change it by a name in ``VARIANTS``, then by texts ``KEY=VALUE``.
+
+        Raises ``ConfigError``, which names the file."""
         try:
-            return cls.parse(with_settings(read_document(path), settings))
+            document = read_document(path)
+            of_variant = {} if variant is None else settings_of(variant, document.get("network"))
+            changes = [f"{key}={json.dumps(value)}" for key, value in of_variant.items()]
+            return cls.parse(with_settings(document, [*changes, *settings]))
         except ConfigError as error:
             raise ConfigError(f"{error}: {os.fspath(path)}") from error
 

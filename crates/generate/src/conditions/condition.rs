@@ -37,6 +37,37 @@ named!(GuidedConditions, "conditions of the guidance" {
     All => "all", "Drops all conditions";
 });
 
+/// Condition of a network.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ConditionKind {
+    /// Boxes and map.
+    Layout,
+    /// Ego motion and text prompt.
+    Action,
+    /// Color of the points.
+    Color,
+    /// Depth of the points.
+    Depth,
+}
+
+named!(ConditionKind, "condition" {
+    Layout => "layout", "Boxes and HD map";
+    Action => "action", "Ego motion and text";
+    Color => "color", "Color of the points";
+    Depth => "depth", "Depth of the points";
+});
+
+impl FromIterator<ConditionKind> for DroppedConditions {
+    fn from_iter<I: IntoIterator<Item = ConditionKind>>(kinds: I) -> Self {
+        kinds.into_iter().fold(Self::default(), |dropped, kind| match kind {
+            ConditionKind::Layout => Self { layout: true, ..dropped },
+            ConditionKind::Action => Self { action: true, ..dropped },
+            ConditionKind::Color => Self { color: true, ..dropped },
+            ConditionKind::Depth => Self { depth: true, ..dropped },
+        })
+    }
+}
+
 impl From<GuidedConditions> for DroppedConditions {
     fn from(guided: GuidedConditions) -> Self {
         match guided {

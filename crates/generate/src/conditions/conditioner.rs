@@ -7,7 +7,7 @@ use point_skeleton::scene::{SceneMap, SceneState};
 use point_skeleton::{MapOptions, Renderer};
 use pskel_sim::{Committed, Forecast, Instant, Simulation, scene_state};
 
-use crate::{DenoiserError, FrameConditions, Recipe};
+use crate::{Condition, DenoiserError, DroppedConditions, FrameConditions, Recipe};
 
 /// Renders the network input of a simulation, from committed and forecast instants.
 pub struct Conditioner<'a> {
@@ -17,6 +17,8 @@ pub struct Conditioner<'a> {
     prompt: Prompts,
     /// Captions by time, in place of the prompt.
     captions: Option<FrameCaptions>,
+    /// Conditions that the network does not get.
+    dropped: DroppedConditions,
 }
 
 /// Rendered conditions of one instant.
@@ -45,13 +47,21 @@ impl<'a> Conditioner<'a> {
     /// Creates a conditioner for a log and its HD map.
     pub fn new(log: &'a Recording, map: Option<Arc<SceneMap>>, recipe: &Recipe, prompt: &str) -> Self {
         let maps = MapOptions::new(recipe.options(map.is_some()), recipe.selection());
-        Self { log, map, maps, prompt: Prompts::Frame(prompt.to_owned()), captions: None }
+        let (prompt, dropped) = (Prompts::Frame(prompt.to_owned()), DroppedConditions::default());
+        Self { log, map, maps, prompt, captions: None, dropped }
     }
 
     /// Sets captions by time, in place of the prompt.
     #[must_use]
     pub fn with_captions(mut self, captions: Option<FrameCaptions>) -> Self {
         self.captions = captions;
+        self
+    }
+
+    /// Drops conditions of all frames.
+    #[must_use]
+    pub fn without(mut self, dropped: DroppedConditions) -> Self {
+        self.dropped = dropped;
         self
     }
 
@@ -112,6 +122,6 @@ impl<'a> Conditioner<'a> {
         let prompts = self.captions.as_ref().map_or(&self.prompt, |captions| captions.at(instant.t_us));
         let conditions =
             FrameConditions::new(&set, &state, before, prompts, self.maps.conditions.depth_bins)?;
-        Ok(RenderedConditions { state, set, conditions })
+        Ok(RenderedConditions { state, set, conditions: conditions.without(self.dropped) })
     }
 }

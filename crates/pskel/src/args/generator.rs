@@ -10,7 +10,9 @@ use point_skeleton::error::FileError;
 use point_skeleton::files::json;
 use point_skeleton::files::text::printable;
 use point_skeleton::named::UnknownName;
-use pskel_generate::{DenoiserRig, Guidance, GuidedConditions, Preset, Recipe, SamplerOptions, Strategy};
+use pskel_generate::{
+    ConditionKind, DenoiserRig, Guidance, GuidedConditions, Preset, Recipe, SamplerOptions, Strategy,
+};
 use pskel_network::{DEFAULT_WINDOW, GeneratorSettings, NetworkName, OpenedNetwork};
 use pskel_sim::peer::MAX_TIMEOUT_S;
 
@@ -50,6 +52,9 @@ pub(crate) struct GeneratorArgs {
     /// and depth [default: layout]
     #[arg(long, value_parser = names::<GuidedConditions>())]
     guide: Option<GuidedConditions>,
+    /// Drop these conditions in all frames, for networks that were trained without them
+    #[arg(long, value_name = "CONDITION,..", value_delimiter = ',', value_parser = names::<ConditionKind>())]
+    without: Vec<ConditionKind>,
     /// Seed of the noise [default: 0]
     #[arg(long, value_name = "SEED")]
     noise_seed: Option<u64>,
@@ -91,6 +96,7 @@ impl GeneratorArgs {
             ("--window", self.window.is_some(), true, network),
             ("--infer-steps", self.infer_steps.is_some(), true, network),
             ("--guidance", self.guidance.is_some(), true, network),
+            ("--without", !self.without.is_empty(), true, network),
             ("--noise-seed", self.noise_seed.is_some(), true, network),
             ("--captions", self.captions.is_some(), true, network),
             ("--guide", self.guide.is_some(), guided, "--guidance other than 1"),
@@ -112,6 +118,7 @@ impl GeneratorArgs {
             ("--infer-steps", self.infer_steps.is_some()),
             ("--guidance", self.guidance.is_some()),
             ("--guide", self.guide.is_some()),
+            ("--without", !self.without.is_empty()),
             ("--noise-seed", self.noise_seed.is_some()),
             ("--sampler", self.sampler.is_some()),
             ("--recipe", self.recipe.is_some()),
@@ -189,6 +196,7 @@ impl GeneratorArgs {
             strategy,
             sampler: self.sampler.or(preset.as_ref().map(|preset| preset.sampler)).unwrap_or_default(),
             guidance: Guidance { scale: self.guidance.unwrap_or(default_guidance), dropped },
+            without: self.without.iter().copied().collect(),
             noise_seed: self.noise_seed.unwrap_or(defaults.noise_seed),
             recipe,
             timeout_s: self.generator_timeout.unwrap_or(defaults.timeout_s),

@@ -28,6 +28,8 @@ from .text import TextEncoder
 
 __all__ = ["ImageTask", "TaskOptions", "recipe", "task"]
 
+BIN_SCALES = ("linear", "log")
+
 _NETWORK = "network"
 _GUIDED = frozenset({"text", "boxes", "map", "action"})
 """Parts that the half of guidance without conditions is without."""
@@ -45,6 +47,8 @@ class TaskOptions:
     """``all``, ``adapters``, or ``lora:R`` with the rank R."""
     recipe: str = "pas-image-nuscenes"
     """Name in ``PRESETS``, unless ``[data.recipe]`` says how maps are rendered."""
+    bin_scale: str = "linear"
+    """Scale of the depth bins: ``linear``, or ``log`` for finer bins near the camera."""
     prediction: str = "epsilon"
     zero_snr: bool = False
     depth: str = "continuous"
@@ -59,7 +63,7 @@ class TaskOptions:
     """Inference steps, guidance and noise of the previous frame in validations."""
 
     def __post_init__(self) -> None:
-        recipe({"recipe": self.recipe})
+        recipe({"recipe": self.recipe, "bin_scale": self.bin_scale})
         inference_timesteps(self.infer_steps)
         if self.image_batch < 1:
             raise ValueError(f"expected image_batch of at least 1, found {self.image_batch}")
@@ -79,7 +83,11 @@ def recipe(options: Mapping[str, Any]) -> Mapping[str, Any]:
     name = options.get("recipe", TaskOptions.recipe)
     if name not in PRESETS:
         raise ValueError(f"expected recipe of {', '.join(PRESETS)}, found {name!r}")
-    return PRESETS[name].recipe
+    scale = options.get("bin_scale", TaskOptions.bin_scale)
+    if scale not in BIN_SCALES:
+        raise ValueError(f"expected bin_scale of {', '.join(BIN_SCALES)}, found {scale!r}")
+    values = dict(PRESETS[name].recipe)
+    return values if scale == TaskOptions.bin_scale else {**values, "bins": {**values["bins"], "scale": scale}}
 
 
 def task(options: Mapping[str, Any], train: TrainOptions) -> ImageTask:

@@ -17,6 +17,6 @@ mod study;
 pub use error::AblationError;
 pub use options::{AblationOptions, Networks, Origin};
 pub use report::Report;
-pub use rows::Table;
+pub use rows::{Table, Variant};
 pub use run::RunResult;
 pub use study::Ablation;

@@ -1,9 +1,11 @@
 //! Options shared by all variants, and provenance of results.
 
+use pskel_generate::Recipe;
 use pskel_network::Network;
 use serde::{Deserialize, Serialize};
 
 use super::error::AblationError;
+use super::rows::Variant;
 
 /// Options shared by all variants.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -34,8 +36,8 @@ pub struct Origin {
 pub struct Networks {
     /// Network of all rows that name no other network.
     pub main: Network,
-    /// Trained without augmentation.
-    pub plain: Option<Network>,
+    /// Trained as other variants, each once.
+    pub variants: Vec<(Variant, Network)>,
     /// Trained like `main`, with other seeds.
     pub others: Vec<Network>,
 }
@@ -44,19 +46,26 @@ pub struct Networks {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Choice {
     Main,
-    Plain,
+    Variant(usize),
     Other(usize),
 }
 
 impl Networks {
-    /// Checks that all networks have the same recipe, window and number of cameras.
+    /// Checks that all networks have the same window and number of cameras, and the same recipe, of which
+    /// variants may have other bins.
     pub(super) fn check(&self) -> Result<(), AblationError> {
         let shape = |network: &Network| {
             let config = network.config();
             (config.recipe.clone(), config.frames, network.cameras())
         };
         let main = shape(&self.main);
-        match self.plain.iter().chain(&self.others).map(shape).find(|other| *other != main) {
+        let main_bins = main.0.bins;
+        let variant = |(_, network): &(Variant, Network)| {
+            let (recipe, frames, cameras) = shape(network);
+            (Recipe { bins: main_bins, ..recipe }, frames, cameras)
+        };
+        let others = self.variants.iter().map(variant).chain(self.others.iter().map(shape));
+        match others.into_iter().find(|other| *other != main) {
             None => Ok(()),
             Some(other) => Err(AblationError::Networks { found: format!("{main:?} and {other:?}") }),
         }
@@ -66,7 +75,7 @@ impl Networks {
     pub(super) fn get(&self, choice: Choice) -> &Network {
         match choice {
             Choice::Main => &self.main,
-            Choice::Plain => self.plain.as_ref().unwrap_or(&self.main),
+            Choice::Variant(place) => self.variants.get(place).map_or(&self.main, |(_, network)| network),
             Choice::Other(place) => self.others.get(place).unwrap_or(&self.main),
         }
     }

@@ -4,6 +4,7 @@ use pskel_generate::{DroppedConditions, GenerateOptions, Guidance, SamplerOption
 
 use super::options::{AblationOptions, Choice, Networks, Origin};
 use point_skeleton::named;
+use point_skeleton::named::Named as _;
 
 /// Variant of the generator.
 #[derive(Clone, Debug, PartialEq)]
@@ -37,8 +38,8 @@ pub enum Table {
     Conditions,
     /// The same and twice the number of inference steps.
     InferSteps,
-    /// Asset augmentation in training; requires a network that was trained without it.
-    Augmentation,
+    /// Networks that were trained as the paper's rows; requires such networks.
+    Trainings,
     /// Training seeds; requires networks of other seeds.
     Seeds,
 }
@@ -48,7 +49,7 @@ named!(Table, "part" {
     Forecasts => "forecasts", "Correct forecasts compared with standstill forecasts";
     Conditions => "conditions", "Color and depth of the points as conditions";
     InferSteps => "infer_steps", "The same and twice the number of inference steps";
-    Augmentation => "augmentation", "Asset augmentation in training; requires --plain-weights";
+    Trainings => "trainings", "Trainings of the paper's rows; requires --variant";
     Seeds => "seeds", "Training seeds; requires --other-seed";
 });
 
@@ -60,8 +61,54 @@ impl Table {
             Self::Forecasts => "Wrong forecasts",
             Self::Conditions => "Conditions",
             Self::InferSteps => "Inference steps",
-            Self::Augmentation => "Augmentation of assets in training",
+            Self::Trainings => "Trainings",
             Self::Seeds => "Training with other seeds",
+        }
+    }
+}
+
+/// A training of the paper's ablation, as `python -m pskel.train --variant` has them. Each adds something to
+/// the one before.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Variant {
+    /// Boxes and map alone.
+    Layout,
+    /// The previous frame as it is.
+    PreviousClean,
+    /// The previous frame with noise.
+    PreviousNoised,
+    /// Color of the points.
+    Color,
+    /// Depth of the points.
+    Depth,
+    /// Degraded assets.
+    Augmentation,
+    /// Bins of depth that are finer near the camera.
+    RelativeDepth,
+    /// Bins of depth of equal width.
+    MetricDepth,
+}
+
+named!(Variant, "variant of the training" {
+    Layout => "layout", "Layout";
+    PreviousClean => "previous_clean", "Layout and previous frame";
+    PreviousNoised => "previous_noised", "Layout and noisy previous frame";
+    Color => "color", "Layout, noisy previous frame and color";
+    Depth => "depth", "Layout, noisy previous frame, color and depth";
+    Augmentation => "augmentation", "The same with degraded assets";
+    RelativeDepth => "relative_depth", "The same with finer bins of depth near the camera";
+    MetricDepth => "metric_depth", "The same with bins of depth of equal width";
+});
+
+impl Variant {
+    /// Conditions that the network was not trained with.
+    fn dropped(self) -> DroppedConditions {
+        match self {
+            Self::Layout | Self::PreviousClean | Self::PreviousNoised => {
+                DroppedConditions { color: true, depth: true, ..NONE }
+            }
+            Self::Color => DroppedConditions { depth: true, ..NONE },
+            Self::Depth | Self::Augmentation | Self::RelativeDepth | Self::MetricDepth => NONE,
         }
     }
 }
@@ -78,7 +125,7 @@ pub(super) fn rows(networks: &Networks, tables: &[Table]) -> Vec<Row> {
 }
 
 fn all_rows(networks: &Networks) -> Vec<Row> {
-    use Table::{Augmentation, Conditions, Forecasts, InferSteps, Seeds, Strategies};
+    use Table::{Conditions, Forecasts, InferSteps, Seeds, Strategies, Trainings};
     let main = || Row {
         name: "reset_and_roll".to_owned(),
         title: "reset_and_roll, color and depth".to_owned(),
@@ -124,10 +171,14 @@ fn all_rows(networks: &Networks) -> Vec<Row> {
     ];
     let (name, title) = ("twice_the_steps".to_owned(), "twice the inference steps".to_owned());
     rows.push(Row { name, title, tables: &[InferSteps], times_steps: 2, ..main() });
-    if networks.plain.is_some() {
-        let (name, title) = ("plain_assets".to_owned(), "trained without augmentation".to_owned());
-        rows.push(Row { name, title, tables: &[Augmentation], network: Choice::Plain, ..main() });
-    }
+    rows.extend(networks.variants.iter().enumerate().map(|(place, (variant, _))| Row {
+        name: format!("trained_{}", variant.name()),
+        title: format!("trained: {}", variant.help()),
+        tables: &[Trainings],
+        dropped: variant.dropped(),
+        network: Choice::Variant(place),
+        ..main()
+    }));
     rows.extend(networks.others.iter().enumerate().map(|(place, network)| {
         let seed = network.about().seed;
         let (name, title) = (format!("seed_{}_{seed}", place + 1), format!("seed {seed}"));

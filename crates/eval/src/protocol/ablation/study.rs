@@ -6,6 +6,8 @@ use point_skeleton::files::input::is_there;
 use point_skeleton::files::{Inputs, OutputFolder, write_json};
 use point_skeleton::raster::RasterizerDesc;
 
+use pskel_generate::Recipe;
+
 use super::error::AblationError;
 use super::options::{AblationOptions, Networks};
 use super::report::Report;
@@ -65,24 +67,29 @@ impl Ablation {
     ) -> Result<(), AblationError> {
         let folder = self.files.folder(name)?;
         std::fs::create_dir_all(&folder).map_err(FileError::io("create", &folder))?;
-        let options = SceneOptions {
-            recipe: self.networks.main.recipe(),
+        let options = |recipe| SceneOptions {
+            recipe,
             references: self.networks.main.config().frames - 1,
             study: &self.options,
             rasterizer,
             skeleton: &skeleton,
         };
-        let mut scene = None;
+        // Variants may have other recipes.
+        let mut scenes: Vec<(&Recipe, Scene)> = Vec::new();
         for row in &self.rows {
             let path = folder.join(format!("{}.json", row.name));
             let result = if is_there(&path)? {
                 RunResult::read(&path, &row.origin(&self.networks, &self.options))?
             } else {
-                let scene = match &mut scene {
-                    Some(scene) => scene,
-                    none => none.insert(Scene::render(name, log, &options)?),
+                let recipe = self.networks.get(row.network).recipe();
+                let place = match scenes.iter().position(|(known, _)| *known == recipe) {
+                    Some(place) => place,
+                    None => {
+                        scenes.push((recipe, Scene::render(name, log, &options(recipe))?));
+                        scenes.len() - 1
+                    }
                 };
-                self.run(scene, row)?
+                self.run(&scenes[place].1, row)?
             };
             progress(&result);
             self.results.push(result);

@@ -5,7 +5,9 @@ use anyhow::Context;
 use clap::Args;
 use point_skeleton::dataset::LogLocator;
 use point_skeleton::files::{Inputs, check_place};
-use pskel_eval::protocol::ablation::{Ablation, AblationError, AblationOptions, Networks, RunResult, Table};
+use pskel_eval::protocol::ablation::{
+    Ablation, AblationError, AblationOptions, Networks, RunResult, Table, Variant,
+};
 use pskel_network::{Network, NetworkName};
 
 use super::logs::ProtocolLogs;
@@ -30,10 +32,11 @@ pub(crate) struct AblationArgs {
     /// Network: network (shipped with the program), or network:FILE with weights of `python -m pskel.train`
     #[arg(long, value_name = "NETWORK", default_value = "network")]
     generator: NetworkName,
-    /// Weights that were trained without degraded assets, for the row that measures the effect of asset
-    /// augmentation
-    #[arg(long, value_name = "FILE")]
-    plain_weights: Option<PathBuf>,
+    /// Weights of `python -m pskel.train --variant NAME`, for a row with the conditions of that training; may be
+    /// repeated. NAME is layout, previous_clean, previous_noised, color, depth, augmentation, relative_depth or
+    /// metric_depth
+    #[arg(long = "variant", value_name = "NAME=FILE", value_parser = variant)]
+    variants: Vec<(Variant, PathBuf)>,
     /// Weights of the same training with another seed, for a row that measures random variation; may be
     /// repeated
     #[arg(long = "other-seed", value_name = "FILE")]
@@ -62,7 +65,7 @@ pub(super) fn run(args: &AblationArgs) -> anyhow::Result<()> {
     let open = |path: &PathBuf| Network::open(path, cameras);
     let networks = Networks {
         main: Network::open_or_shipped(weights, cameras)?,
-        plain: args.plain_weights.as_ref().map(open).transpose()?,
+        variants: args.open_variants(cameras)?,
         others: args.other_seeds.iter().map(open).collect::<Result<_, _>>()?,
     };
     let options = AblationOptions { steps: usize::from(args.steps), seed: args.noise_seed };
@@ -99,16 +102,30 @@ impl AblationArgs {
         }
     }
 
+    /// Opens the networks of variants, each of which may be given once.
+    fn open_variants(&self, cameras: usize) -> anyhow::Result<Vec<(Variant, Network)>> {
+        let mut opened: Vec<(Variant, Network)> = Vec::new();
+        for (variant, path) in &self.variants {
+            if opened.iter().any(|(other, _)| other == variant) {
+                let name = variant.name();
+                return Err(WrongUsage(format!("expected each --variant once, found {name} again")).into());
+            }
+            opened.push((*variant, Network::open(path, cameras)?));
+        }
+        Ok(opened)
+    }
+
     /// Returns everything that is read, except for skeletons.
     fn inputs(&self, locators: &[LogLocator], weights: Option<&Path>) -> Inputs {
-        let others = self.plain_weights.iter().chain(&self.other_seeds).map(PathBuf::as_path);
+        let variants = self.variants.iter().map(|(_, path)| path);
+        let others = variants.chain(&self.other_seeds).map(PathBuf::as_path);
         Inputs::new(locators.iter().flat_map(LogLocator::inputs)).and(weights.into_iter().chain(others))
     }
 
     /// Checks that tables which compare other weights are requested together with these weights.
     fn check_tables(&self) -> Result<(), WrongUsage> {
         let given = [
-            (Table::Augmentation, "--plain-weights", self.plain_weights.is_some()),
+            (Table::Trainings, "--variant", !self.variants.is_empty()),
             (Table::Seeds, "--other-seed", !self.other_seeds.is_empty()),
         ];
         let wrong = given.into_iter().find(|(table, _, given)| *given != self.parts.contains(table));
@@ -116,6 +133,13 @@ impl AblationArgs {
         let (table, found) = (table.name(), if given { "the weights alone" } else { "the part alone" });
         Err(WrongUsage(format!("expected {option} and part {table} together, found {found}")))
     }
+}
+
+/// Parses the name of a variant and the file of its weights.
+fn variant(text: &str) -> Result<(Variant, PathBuf), String> {
+    let (name, path) = text.split_once('=').ok_or_else(|| format!("expected NAME=FILE, found {text:?}"))?;
+    let variant = name.parse::<Variant>().map_err(|error| error.to_string())?;
+    Ok((variant, PathBuf::from(path)))
 }
 
 /// Converts invalid options into [`WrongUsage`], which has its own exit code.

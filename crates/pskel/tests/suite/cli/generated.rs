@@ -104,16 +104,23 @@ fn compared(folder: &Path) {
     );
     let reported = succeed(folder, &few);
     assert!(reported.contains("10 variants in 1 scenes") && !reported.contains("seed 1"), "{reported}");
-    let ablate = format!("{few} --plain-weights {weights} --other-seed {weights}");
+    let variants = format!("--variant depth={weights} --variant layout={weights}");
+    let ablate = format!("{few} {variants} --other-seed {weights}");
     let reported = succeed(folder, &ablate);
-    assert!(reported.contains("12 variants in 1 scenes"), "{reported}");
+    assert!(reported.contains("13 variants in 1 scenes"), "{reported}");
     let all = tree(&folder.join("table"));
     let text = String::from_utf8(all["table.md"].clone()).unwrap();
-    for part in
-        ["| rolling |", "| layout alone, difference |", "| trained without augmentation |", "| seed 1 |"]
-    {
+    let trained = "| trained: Layout, noisy previous frame, color and depth |";
+    for part in ["| rolling |", "| layout alone, difference |", trained, "| seed 1 |"] {
         assert!(text.contains(part), "{part} in {text}");
     }
+    // A variant has the conditions of its training: here those of the row without color and depth.
+    let row = |name: &str| {
+        let line = text.lines().find(|line| line.starts_with(&format!("| {name} |"))).unwrap();
+        line.split_once('|').unwrap().1.split_once('|').unwrap().1
+    };
+    assert_eq!(row("trained: Layout"), row("layout alone"));
+    assert_ne!(row("trained: Layout"), row("seed 1"));
     // A network does not differ from itself.
     let line = text.lines().find(|line| line.starts_with("| seed 1, difference |")).unwrap();
     let first = line.split('|').nth(2).unwrap().trim();
@@ -143,7 +150,7 @@ fn compared(folder: &Path) {
         tree(&folder.join("recorded")).into_keys().find(|name| name.ends_with("/rolling.json")).unwrap();
     let result = json(&folder.join("recorded").join(result));
     assert!(result["numbers"]["psnr_db"].as_f64() > Some(5.0), "{result}");
-    let seeds = ablate.replace("--plain-weights w.safetensors", "--parts seeds");
+    let seeds = ablate.replace(&variants, "--parts seeds");
     let reported = succeed(folder, &seeds);
     assert!(
         reported.contains("2 variants in 1 scenes") && reported.contains("| seed 1, difference | 0.00 |"),
@@ -153,6 +160,9 @@ fn compared(folder: &Path) {
     let neither = seeds.replace("--parts seeds", "--parts strategies");
     let output = command(folder, &neither).output().unwrap();
     assert_failed(&output, 2, &["expected --other-seed and part seeds together, found the weights alone"]);
+    let twice = format!("{ablate} --variant layout={weights}");
+    let output = command(folder, &twice).output().unwrap();
+    assert_failed(&output, 2, &["expected each --variant once, found layout again"]);
     let other = ablate.replace("--steps 4", "--steps 3");
     let output = command(folder, &other).output().unwrap();
     assert_failed(&output, 1, &["expected scores of {", "\"steps\":4", "reset_and_roll.json"]);
