@@ -65,9 +65,8 @@ pub(crate) fn latex(cells: &[Vec<String>]) -> String {
     let columns = format!("l{}", "r".repeat(header.len().saturating_sub(1)));
     let rows: String = rows.iter().map(line).collect();
     let header = line(header);
-    format!(
-        "\\begin{{tabular}}{{{columns}}}\n\\toprule\n{header}\\midrule\n{rows}\\bottomrule\n\\end{{tabular}}\n"
-    )
+    let head = format!("\\begin{{tabular}}{{{columns}}}\n\\toprule\n{header}\\midrule\n");
+    head + &rows + "\\bottomrule\n\\end{tabular}\n"
 }
 
 #[cfg(test)]
@@ -95,10 +94,8 @@ mod tests {
         let cells = cells.map(|row| row.map(str::to_owned).to_vec()).to_vec();
         assert_eq!(csv(&cells), "a,IoU (%)\r\n\"b, \"\"c\"\"\",1 ± 2\r\nd_e,-\r\n");
         let rows = "b, \"c\" & $1 \\pm 2$ \\\\\nd\\_e & - \\\\\n";
-        let table = format!(
-            "\\begin{{tabular}}{{lr}}\n\\toprule\na & IoU (\\%) \\\\\n\\midrule\n{rows}\\bottomrule\n\\end{{tabular}}\n"
-        );
-        assert_eq!(latex(&cells), table);
+        let head = "\\begin{tabular}{lr}\n\\toprule\na & IoU (\\%) \\\\\n\\midrule\n";
+        assert_eq!(latex(&cells), format!("{head}{rows}\\bottomrule\n\\end{{tabular}}\n"));
     }
 
     #[test]

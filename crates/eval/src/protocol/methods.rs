@@ -331,10 +331,8 @@ mod tests {
         assert_eq!(both.notes(), [""; 0]);
         let table = both.format(TableFormat::Markdown, true);
         let lines: Vec<&str> = table.lines().collect();
-        assert_eq!(
-            lines[2],
-            "| one_a | 1 | 16 | 256x448 | 20.00 ± 0.50 | - | - | - | - | - | 12.35 | - | 50.0 ± 50.0 | 0 | - |"
-        );
+        let first = "| one_a | 1 | 16 | 256x448 | 20.00 ± 0.50 | - | - | - | - | - ";
+        assert_eq!(lines[2], format!("{first}| 12.35 | - | 50.0 ± 50.0 | 0 | - |"));
         assert!(lines[4].starts_with("| Point as Skeleton, image network (published) | - |"), "{table}");
         assert!(lines[4].contains("| 7.09 | 69.5 | - |"), "{table}");
         assert_eq!((lines.len(), both.format(TableFormat::Markdown, false).lines().count()), (5, 4));

@@ -3,8 +3,8 @@
 //! # How it works
 //! A [`Protocol`] has names of logs and parts. A [`Part`] is a policy of the ego, a rate and a length;
 //! [`Part::clips`] places its clips in a log. Whoever runs a protocol generates one rollout per clip.
-//! [`ProtocolReport`] scores the rollouts of all parts and has the table. [`MethodTable`] joins the results of
-//! several methods. `ablation` compares variants of the generator on the same frames.
+//! [`ProtocolReport`] scores the rollouts of all parts and has the table. [`MethodTable`] joins the results
+//! of several methods. `ablation` compares variants of the generator on the same frames.
 
 #[cfg(feature = "network")]
 pub mod ablation;

@@ -317,7 +317,7 @@ impl ImageFolder {
             let shape = |size: ImageSize| f64::from(size.width) / f64::from(size.height);
             if (shape(size) / shape(recorded) - 1.0).abs() > SHAPE_TOLERANCE {
                 let expected = format!(
-                    "images of the shape of {camera}, {recorded}, or --image-rows (0..1/1 if they show all rows)"
+                    "images of the shape of {camera}, {recorded}, or --image-rows (0..1/1 for all rows)"
                 );
                 return Err(FileError::content(expected, size.to_string(), path));
             }

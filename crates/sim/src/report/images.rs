@@ -36,7 +36,8 @@ pub struct StepImages {
     pub rows: Option<ImageRows>,
 }
 
-/// Rows of a camera's image that a smaller image shows, like `32..544/576`: rows 32 to 543 if it has 576 rows.
+/// Rows of a camera's image that a smaller image shows, like `32..544/576`: rows 32 to 543 if it has 576
+/// rows.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(into = "String", try_from = "String")]
 pub struct ImageRows {

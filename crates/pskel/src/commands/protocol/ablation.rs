@@ -32,9 +32,9 @@ pub(crate) struct AblationArgs {
     /// Network: network (shipped with the program), or network:FILE with weights of `python -m pskel.train`
     #[arg(long, value_name = "NETWORK", default_value = "network")]
     generator: NetworkName,
-    /// Weights of `python -m pskel.train --variant NAME`, for a row with the conditions of that training; may be
-    /// repeated. NAME is layout, previous_clean, previous_noised, color, depth, augmentation, relative_depth or
-    /// metric_depth
+    /// Weights of `python -m pskel.train --variant NAME`, for a row with the conditions of that training; may
+    /// be repeated. NAME is layout, previous_clean, previous_noised, color, depth, augmentation,
+    /// relative_depth or metric_depth
     #[arg(long = "variant", value_name = "NAME=FILE", value_parser = variant)]
     variants: Vec<(Variant, PathBuf)>,
     /// Weights of the same training with another seed, for a row that measures random variation; may be
