@@ -40,4 +40,4 @@ pub use generator::strategy::Strategy;
 pub use generator::window::{Progress, Roll};
 pub use options::GenerateOptions;
 pub use process::{DenoiserRig, ProcessDenoiser};
-pub use recordings::dataset_copy::{CopiedLog, DatasetCopy, ImageCounts};
+pub use recordings::dataset_copy::{CopiedLog, DatasetCopy, GENERATED_LIST, ImageCounts, SampleCounts};

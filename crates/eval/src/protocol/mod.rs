@@ -15,7 +15,7 @@ mod report;
 mod settings;
 mod simgen;
 
-pub use clips::{Clip, ClipClock, ShortLog};
+pub use clips::{Clip, ClipClock, OtherRate, ShortLog};
 pub use definition::{Length, Part, PartRates, Protocol, Starts};
 pub use report::{PartRollouts, ProtocolReport, ScoreOptions};
 pub use settings::check_settings;

@@ -3,6 +3,7 @@
 
 mod ablation;
 mod clips;
+mod copy;
 mod logs;
 
 use clap::Subcommand;
