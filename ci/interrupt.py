@@ -47,8 +47,8 @@ COMMANDS = [
     ("generate", f"generate {MAPS} --every 1", None, True),
     ("mcap", f"simulate {MAPS} --ego lane_change --actors idm --steps 10 --mcap out.mcap", None, True),
     ("dataset", f"generate {MAPS} --every 1 --generator fill --window 2 --dataset copy", None, True),
-    ("protocol", f"protocol nuscenes-val {LOG} --other-logs --parts 2hz --generator fill --window 2 --skeletons sks --out out "
-                 "--maps color,depth,class --size 57x100", None, False),
+    ("protocol", f"protocol nuscenes-val {LOG} --other-logs --parts 2hz --generated-only --generator fill --window 2 "
+                 "--skeletons sks --out out --maps color,depth,class --size 57x100", None, False),
     ("export", f"export {LOG} --layout frames --shard-frames 1 --skeletons sks --out out --maps color,depth --size 57x100",
      None, False),
     ("shards", f"export {LOG} town:seed=6,frames=5,size=57x100 --layout webdataset --shard-frames 2 --skeletons sks --out out --maps depth --size 57x100",

@@ -17,11 +17,13 @@ optional=('opencv-python-headless<5 OpenEXR' rerun-sdk==0.41.0 'grpcio-tools car
 # Planners of nuPlan run in an environment of their own; their tests are skipped without.
 devkit=('numpy<2' shapely geopandas 'SQLAlchemy==1.4.27' pyquaternion scipy opencv-python-headless tqdm retry psutil pytest
     joblib pillow matplotlib rasterio aioboto3 requests)
+# So does the development kit of nuScenes.
+nuscenes=('nuscenes-devkit==1.2.0')
 
 scratch=$(mktemp -d)
 trap 'rm -rf "$scratch"' EXIT
 folder=$(realpath -m "${CARGO_TARGET_DIR:-target}/python")
-stamp=$(python3 --version; printf '%s\n' "${packages[@]}" "${torch[@]}" "${optional[@]}" "${devkit[@]}")
+stamp=$(python3 --version; printf '%s\n' "${packages[@]}" "${torch[@]}" "${optional[@]}" "${devkit[@]}" "${nuscenes[@]}")
 install() { "$folder/$1/bin/pip" install --quiet --disable-pip-version-check "${@:2}"; }
 
 if [ "$(cat "$folder/installed" 2>/dev/null)" != "$stamp" ]; then
@@ -38,6 +40,8 @@ if [ "$(cat "$folder/installed" 2>/dev/null)" != "$stamp" ]; then
     done
     python3 -m venv "$folder/devkit"
     install devkit "${devkit[@]}" || rm -rf "$folder/devkit"
+    python3 -m venv "$folder/nuscenes"
+    install nuscenes "${nuscenes[@]}" || rm -rf "$folder/nuscenes"
     [ -z "$complete" ] || printf '%s\n' "$stamp" >"$folder/installed" # else the next run tries again
 fi
 
@@ -46,6 +50,7 @@ install env --no-index --no-deps --force-reinstall "$scratch"/wheel/pskel-*.whl
 if [ -d "${PSKEL_SHARED:-../shared}/interop/nuplan-devkit" ] && [ -d "$folder/devkit" ]; then
     export PSKEL_DEVKIT_PYTHON="$folder/devkit/bin/python"
 fi
+[ ! -d "$folder/nuscenes" ] || export PSKEL_NUSCENES_PYTHON="$folder/nuscenes/bin/python"
 export PSKEL_VALIDATION=1
 # Two processes, each with the tests of a file after another: many tests wait for processes of their own.
 export OMP_NUM_THREADS=1

@@ -47,4 +47,4 @@ pub use imported::matching::{ClipFrames, ClipImages, Counted, ImportCounts};
 pub use imported::session::ImportSession;
 pub use options::GenerateOptions;
 pub use process::{DenoiserRig, ProcessDenoiser};
-pub use recordings::dataset_copy::{CopiedLog, DatasetCopy, ImageCounts};
+pub use recordings::dataset_copy::{CopiedLog, DatasetCopy, GENERATED_LIST, ImageCounts, SampleCounts};

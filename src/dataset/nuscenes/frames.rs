@@ -27,7 +27,7 @@ const RING: [&str; 6] =
     ["CAM_FRONT", "CAM_FRONT_RIGHT", "CAM_BACK_RIGHT", "CAM_BACK", "CAM_BACK_LEFT", "CAM_FRONT_LEFT"];
 
 /// LiDAR that defines the ego pose of a frame.
-const MAIN_LIDAR: &str = "LIDAR_TOP";
+pub(super) const MAIN_LIDAR: &str = "LIDAR_TOP";
 
 /// Kind of a gap: a sample that neither a sweep nor an image gives an ego pose.
 const NO_DATA: &str = "samples without data";

@@ -2,7 +2,8 @@
 //!
 //! # How it works
 //! `tables` defines the raw records, `version` finds the records of one scene, `read` converts them to a
-//! [`Recording`], and `sweep` reads and writes sweep files. `interpolate` writes tables at a higher rate.
+//! [`Recording`], and `sweep` reads and writes sweep files. `interpolate` writes tables at a higher rate, and
+//! `subset` tables of some samples.
 //! Format: <https://www.nuscenes.org/nuscenes#data-format>.
 
 mod annotations;
@@ -14,6 +15,7 @@ mod lens;
 mod map;
 mod read;
 mod sensors;
+mod subset;
 mod sweep;
 mod tables;
 mod version;
@@ -23,6 +25,7 @@ mod write_map;
 pub use choose::expand;
 pub use interpolate::{ANNOTATED_HZ, InterpolatedCounts, interpolate_tables};
 pub use map::read_map_file;
+pub use subset::{SubsetSample, TableSubset};
 pub use sweep::{POINT_BYTES, parse_sweep, read_sweep_file, write_sweep_file};
 use version::Version;
 

@@ -39,6 +39,18 @@ pub struct ShortLog {
     found: usize,
 }
 
+/// Error of a log without frames at the rate of a part whose images are copied into the data set.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[error(
+    "expected a log with frames at {hz} Hz for the copy of part {part}, found {found:.1} Hz (`pskel convert \
+        --hz 12` writes annotations at 12 Hz)"
+)]
+pub struct OtherRate {
+    part: &'static str,
+    hz: f64,
+    found: f64,
+}
+
 impl Clip {
     /// Returns the number of simulation steps after the first one.
     pub fn steps(&self) -> usize {
@@ -118,6 +130,20 @@ impl Part {
         // The last clip of `Spread` ends with the log, except for the rounding of its start.
         let fits = |clip: &Clip| clip.start_us == first_us || clip.start_us + duration_us <= last_us + 1;
         Ok((0..count).map(clip).take_while(fits).collect())
+    }
+
+    /// Checks that its clips step from frame to frame of a log with `rates` by default, if its images are
+    /// copied into the data set: only then each image is at the time of a frame.
+    ///
+    /// # Errors
+    /// Fails if the log has other frames.
+    pub fn check_copy(&self, log: &Recording, rates: Rates) -> Result<(), OtherRate> {
+        match self.clock(log, rates) {
+            (ClipClock::Rates(_), hz) if self.copies_dataset => {
+                Err(OtherRate { part: self.name, hz, found: frame_rate_hz(&log.frames).unwrap_or_default() })
+            }
+            _ => Ok(()),
+        }
     }
 
     /// Returns the clock of its clips in a log, and the rate of their frames in hertz. Parts that follow the
@@ -214,6 +240,23 @@ mod tests {
         assert_eq!(short(&log(5, 10)), "expected a log of more than 3 frames at 6.0 Hz, found 3");
         assert!(six.clips(&log(7, 12), Rates::NUSCENES, 3).is_ok());
         assert_eq!(short(&Recording::default()), "expected a log of more than 3 frames at 6.0 Hz, found 0");
+    }
+
+    #[test]
+    fn copies_need_frames_at_the_rate_of_the_part() {
+        let check = |part: usize, hz: i64, copies_dataset: bool| {
+            let part = Part { copies_dataset, ..Protocol::NuscenesVal.parts()[part].clone() };
+            part.check_copy(&log(40, hz), Rates::NUSCENES)
+        };
+        for (part, hz) in [(0, 12), (0, 6), (1, 2), (1, 12), (1, 5), (2, 12), (2, 30)] {
+            assert_eq!(check(part, hz, true), Ok(()), "{part} {hz}");
+        }
+        for (part, hz) in [(0, 2), (0, 10), (2, 2)] {
+            assert!(check(part, hz, true).is_err() && check(part, hz, false).is_ok(), "{part} {hz}");
+        }
+        let message = "expected a log with frames at 6 Hz for the copy of part long, found 2.0 Hz (`pskel \
+                       convert --hz 12` writes annotations at 12 Hz)";
+        assert_eq!(check(2, 2, true).unwrap_err().to_string(), message);
     }
 
     #[test]

@@ -39,7 +39,8 @@ pub struct Part {
     pub starts: Starts,
     /// Whether the part runs only if it is selected.
     pub is_optional: bool,
-    /// Whether the images are also written into a copy of the data set, for perception models.
+    /// Whether the images are also written into a copy of the data set, for perception models; by default
+    /// in the protocol's definition.
     pub copies_dataset: bool,
 }
 

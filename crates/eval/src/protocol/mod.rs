@@ -17,7 +17,7 @@ mod report;
 mod settings;
 mod simgen;
 
-pub use clips::{Clip, ClipClock, ShortLog};
+pub use clips::{Clip, ClipClock, OtherRate, ShortLog};
 pub use definition::{Length, Part, PartRates, Protocol, Starts};
 pub use methods::{MethodTable, TableFormat};
 pub use report::{Method, PartRollouts, ProtocolReport, ScoreOptions};

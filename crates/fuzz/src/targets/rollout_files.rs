@@ -6,7 +6,7 @@ use std::path::Path;
 
 use image::{Rgb, RgbImage};
 use point_skeleton::conditions::ConditionOptions;
-use point_skeleton::dataset::LogReader;
+use point_skeleton::dataset::{LogLocator, LogReader, nuscenes};
 use point_skeleton::files::{Inputs, OutputFile};
 use point_skeleton::geometry::ImageSize;
 use point_skeleton::raster::{MapKind, MapSet, RasterizerDesc, RasterizerKind};
@@ -239,7 +239,8 @@ fn copy(data: &[u8]) {
         let synthetic = SyntheticLog::with_images_in(FRAMES, &root.join("data"));
         let logs = [CopiedLog { log: synthetic.recording(), rollout: &root.join("rollout") }];
         let place = root.join(COPY);
-        match DatasetCopy::open(&root.join("data"), &place, None).and_then(|copy| copy.write(&logs)) {
+        let source = LogLocator::new(&nuscenes::FORMAT, root.join("data"));
+        match DatasetCopy::open(&source, &place, None).and_then(|copy| copy.write(&logs)) {
             Err(error) => {
                 assert_names_file_in(error, root, data);
                 assert!(!place.exists(), "half a copy");

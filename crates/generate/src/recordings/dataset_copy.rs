@@ -1,6 +1,9 @@
-//! Copies of a nuScenes data set with other images: files that are not replaced are links to the original.
+//! Copies of a nuScenes data set with other images. Files that are not replaced are links to the original, or
+//! left out with the tables of all samples that were not generated.
 
-use std::collections::BTreeMap;
+use std::collections::btree_map::Entry;
+use std::collections::{BTreeMap, BTreeSet};
+use std::fmt;
 use std::io::{Cursor, Write};
 use std::os::unix::fs::symlink;
 use std::path::{Path, PathBuf};
@@ -8,13 +11,25 @@ use std::path::{Path, PathBuf};
 use image::ImageFormat;
 use image::codecs::jpeg::JpegEncoder;
 use image::imageops::{self, FilterType};
-use point_skeleton::dataset::{ImageRecord, Recording};
+use point_skeleton::dataset::nuscenes::{SubsetSample, TableSubset};
+use point_skeleton::dataset::{DatasetError, ImageRecord, LogLocator, Recording};
 use point_skeleton::error::FileError;
-use point_skeleton::files::{FileName, Inputs, LISTED_FILES, WholeFolder, is_below, is_inside, write_whole};
+use point_skeleton::files::{
+    FileName, Inputs, LISTED_FILES, WholeFolder, is_below, is_inside, write_json, write_whole,
+};
 use pskel_sim::report::{self, ROLLOUT, STATES, STEPS, StateFile};
+use serde::Serialize;
+use serde_json::json;
 
 /// JPEG quality: high, so that visible artifacts are the generator's.
 const QUALITY: u8 = 95;
+
+/// File in a copy of generated samples that lists them.
+pub const GENERATED_LIST: &str = "generated.json";
+/// Name of their split in `splits.json`, where the development kit looks for splits by name.
+const SPLIT: &str = "generated";
+/// Folders of a data set without samples: HD maps, and the CAN bus that perception models read.
+const SHARED: [&str; 2] = ["maps", "can_bus"];
 
 /// Counts of replaced and unchanged images of the log's frames.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -23,6 +38,19 @@ pub struct ImageCounts {
     pub replaced: usize,
     /// Number of reference images, and of frames that were not generated.
     pub retained: usize,
+    /// Number of generated images that were left out, since an earlier one is in the same file.
+    pub doubled: usize,
+}
+
+/// Counts of a copy that has only generated samples.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct SampleCounts {
+    /// Number of samples.
+    pub samples: usize,
+    /// Number of scenes.
+    pub scenes: usize,
+    /// Number of generated frames that were left out, since an earlier one is in some of their files.
+    pub doubled: usize,
 }
 
 /// A log of the data set, and the folder of the rollout with its generated images.
@@ -42,11 +70,32 @@ struct Replacement<'a> {
     record: &'a ImageRecord,
 }
 
+/// Generated images of some logs. Of several for a file, the first one replaces it: that of the earlier clip,
+/// and within a clip that of the earlier frame.
+#[derive(Default)]
+struct Replacements<'a> {
+    by_path: BTreeMap<PathBuf, Replacement<'a>>,
+    /// Tokens of the images of frames that replace all of their files.
+    whole: BTreeSet<&'a str>,
+    /// Number of images without a file of their own.
+    doubled_images: usize,
+    /// Number of frames with such images.
+    doubled_frames: usize,
+}
+
+/// Content of [`GENERATED_LIST`].
+#[derive(Serialize)]
+struct GeneratedList<'a> {
+    version: &'a str,
+    samples: &'a [SubsetSample],
+}
+
 /// Copy of a data set to be written. Its folder is opened before anything is generated, and locked until it
 /// is written.
 #[derive(Debug)]
 pub struct DatasetCopy<'a> {
-    root: &'a Path,
+    /// Names the data set and its version.
+    source: &'a LogLocator,
     target: WholeFolder,
 }
 
@@ -54,13 +103,14 @@ pub struct DatasetCopy<'a> {
 const KIND: &str = "dataset";
 
 impl<'a> DatasetCopy<'a> {
-    /// Opens a folder for a copy of the data set at `root`. `rollout` is a folder that the same run writes,
-    /// if there is one.
+    /// Opens a folder for a copy of the data set that `source` names, which may have many logs. `rollout` is
+    /// a folder that the same run writes, if there is one.
     ///
     /// # Errors
     /// Fails if the folder has other files or cannot be written, if it is in the data set or contains it, if
     /// one of folder and rollout is in the other, or if the data set is not a folder.
-    pub fn open(root: &'a Path, folder: &Path, rollout: Option<&Path>) -> Result<Self, FileError> {
+    pub fn open(source: &'a LogLocator, folder: &Path, rollout: Option<&Path>) -> Result<Self, FileError> {
+        let root = source.path.as_path();
         if !root.is_dir() {
             return Err(FileError::content("the folder of a data set to copy", "none", root));
         }
@@ -68,7 +118,7 @@ impl<'a> DatasetCopy<'a> {
         let inputs = Inputs::new([root]);
         // The copy would contain its own work folder.
         inputs.check_outside(folder)?;
-        Ok(Self { root, target: WholeFolder::open(folder, KIND, &inputs)? })
+        Ok(Self { source, target: WholeFolder::open(folder, KIND, &inputs)? })
     }
 
     /// Checks that the images of a log can be replaced.
@@ -77,29 +127,103 @@ impl<'a> DatasetCopy<'a> {
     /// Fails if an image is not below the data set, or if its camera is unknown.
     pub fn check(&self, log: &Recording) -> Result<(), FileError> {
         for record in log.frames.iter().flat_map(|frame| &frame.images) {
-            relative(self.root, &record.path)?;
-            camera_of(log, record, self.root)?;
+            relative(&self.source.path, &record.path)?;
+            camera_of(log, record, &self.source.path)?;
         }
         Ok(())
     }
 
-    /// Writes the copy with the images from rollouts of some logs, enlarged to the original size.
+    /// Writes the copy with the images from rollouts of some logs, enlarged to the original size. A log may
+    /// occur several times, with the rollouts of its clips.
     ///
     /// # Errors
     /// Fails if a rollout has no generated images at its log's frames, or if a file cannot be read or
     /// written.
     pub fn write(self, logs: &[CopiedLog<'_>]) -> Result<ImageCounts, FileError> {
-        let Self { root, target } = self;
-        let mut by_path = BTreeMap::new();
+        let Self { source, target } = self;
+        let Replacements { by_path, doubled_images: doubled, .. } = Replacements::of(&source.path, logs)?;
+        let frames = logs.iter().flat_map(|copied| &copied.log.frames);
+        let images: BTreeSet<&Path> =
+            frames.flat_map(|frame| &frame.images).map(|image| image.path.as_path()).collect();
+        target.write(|whole| mirror(&source.path, whole, Path::new(""), &by_path))?;
+        Ok(ImageCounts { replaced: by_path.len(), retained: images.len() - by_path.len(), doubled })
+    }
+
+    /// Writes only the samples that were generated: tables of them with new links and counts, their images,
+    /// links to their LiDAR sweeps and to the maps, and [`GENERATED_LIST`]. A sample is left out and counted
+    /// if an earlier one has the same file.
+    ///
+    /// # Errors
+    /// Fails as [`DatasetCopy::write`], or if a table is missing or damaged.
+    pub fn write_generated(self, logs: &[CopiedLog<'_>]) -> Result<SampleCounts, DatasetError> {
+        let Self { source, target } = self;
+        let root = source.path.as_path();
+        let Replacements { by_path, whole, doubled_frames: doubled, .. } = Replacements::of(root, logs)?;
+        let subset = TableSubset::read(source, &whole)?;
+        let scenes: BTreeSet<&str> = subset.samples.iter().map(|sample| sample.scene.as_str()).collect();
+        target.write(|folder| -> Result<(), FileError> {
+            for (path, new) in by_path.iter().filter(|(_, new)| whole.contains(new.record.token.as_str())) {
+                new.write(&below(folder, path)?)?;
+            }
+            for sweep in &subset.sweeps {
+                let from = root.join(sweep);
+                link(&from, &below(folder, &relative(root, &from)?)?)?;
+            }
+            for name in SHARED.into_iter().filter(|name| root.join(name).is_dir()) {
+                link(&root.join(name), &folder.join(name))?;
+            }
+            let tables = folder.join(&subset.version);
+            subset.write(&tables)?;
+            write_json(&tables.join("splits.json"), &json!({ SPLIT: &scenes }))?;
+            let list = GeneratedList { version: &subset.version, samples: &subset.samples };
+            write_json(&folder.join(GENERATED_LIST), &list)
+        })?;
+        Ok(SampleCounts { samples: subset.samples.len(), scenes: scenes.len(), doubled })
+    }
+}
+
+impl fmt::Display for ImageCounts {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { replaced, retained, doubled } = self;
+        write!(f, "{replaced} images replaced, {retained} kept")?;
+        match doubled {
+            0 => Ok(()),
+            _ => write!(f, ", {doubled} left out (an earlier one is in the same file)"),
+        }
+    }
+}
+
+impl fmt::Display for SampleCounts {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { samples, scenes, doubled } = self;
+        write!(f, "{samples} generated samples of {scenes} scenes, nothing else")?;
+        match doubled {
+            0 => Ok(()),
+            _ => write!(f, ", {doubled} left out (an earlier one is in the same files)"),
+        }
+    }
+}
+
+impl<'a> Replacements<'a> {
+    fn of(root: &Path, logs: &[CopiedLog<'a>]) -> Result<Self, FileError> {
+        let mut all = Self::default();
         for copied in logs {
-            for new in copied.replacements()? {
-                by_path.insert(relative(root, &new.record.path)?, new);
+            for frame in copied.replacements()? {
+                let before = all.doubled_images;
+                let tokens: Vec<&str> = frame.iter().map(|new| new.record.token.as_str()).collect();
+                for new in frame {
+                    match all.by_path.entry(relative(root, &new.record.path)?) {
+                        Entry::Vacant(entry) => _ = entry.insert(new),
+                        Entry::Occupied(_) => all.doubled_images += 1,
+                    }
+                }
+                match all.doubled_images == before {
+                    true => all.whole.extend(tokens),
+                    false => all.doubled_frames += 1,
+                }
             }
         }
-        let frames = logs.iter().flat_map(|copied| &copied.log.frames);
-        let images = frames.map(|frame| frame.images.len()).sum::<usize>();
-        target.write(|whole| mirror(root, whole, Path::new(""), &by_path))?;
-        Ok(ImageCounts { replaced: by_path.len(), retained: images - by_path.len() })
+        Ok(all)
     }
 }
 
@@ -116,8 +240,8 @@ fn check_apart(folder: &Path, rollout: &Path) -> Result<(), FileError> {
 }
 
 impl<'a> CopiedLog<'a> {
-    /// Returns the generated images at frames of the log.
-    fn replacements(&self) -> Result<Vec<Replacement<'a>>, FileError> {
+    /// Returns the generated images at frames of the log, by frame.
+    fn replacements(&self) -> Result<Vec<Vec<Replacement<'a>>>, FileError> {
         let Self { log, rollout } = *self;
         let mut replaced = Vec::new();
         for row in StateFile::read(&rollout.join(STATES))? {
@@ -126,10 +250,12 @@ impl<'a> CopiedLog<'a> {
             if report::images::is_reference(&step)? != Some(false) {
                 continue;
             }
-            for record in &frame.images {
+            let images = frame.images.iter().map(|record| {
                 let camera = camera_of(log, record, &step)?;
-                replaced.push(Replacement { step: step.clone(), camera, record });
-            }
+                Ok(Replacement { step: step.clone(), camera, record })
+            });
+            let images = images.collect::<Result<Vec<_>, FileError>>()?;
+            replaced.extend(Some(images).filter(|images| !images.is_empty()));
         }
         if replaced.is_empty() {
             return Err(FileError::content(
@@ -178,11 +304,24 @@ fn mirror(
         } else if replaced.range(place.clone()..).next().is_some_and(|(path, _)| path.starts_with(&place)) {
             mirror(root, folder, &place, replaced)?;
         } else {
-            let target = std::path::absolute(from.join(&name)).map_err(FileError::io("read", &from))?;
-            symlink(target, to.join(&name)).map_err(FileError::io("link", &to.join(&name)))?;
+            link(&from.join(&name), &to.join(&name))?;
         }
     }
     Ok(())
+}
+
+/// Creates a link to a file or folder of the data set.
+fn link(from: &Path, to: &Path) -> Result<(), FileError> {
+    let target = std::path::absolute(from).map_err(FileError::io("read", from))?;
+    symlink(target, to).map_err(FileError::io("link", to))
+}
+
+/// Returns the place of a file in a folder, and creates the folders above it.
+fn below(folder: &Path, file: &Path) -> Result<PathBuf, FileError> {
+    let place = folder.join(file);
+    let above = place.parent().unwrap_or(folder);
+    std::fs::create_dir_all(above).map_err(FileError::io("create", above))?;
+    Ok(place)
 }
 
 impl Replacement<'_> {

@@ -46,6 +46,10 @@ pub(crate) struct GenerateArgs {
     /// replaced
     #[arg(long, value_name = "DIR")]
     dataset: Option<PathBuf>,
+    /// Leave everything out of the copy but the generated samples: new tables, and generated.json, which
+    /// lists them
+    #[arg(long, requires = "dataset")]
+    generated_only: bool,
     #[command(flatten)]
     moved: MovedEgoArgs,
     #[command(flatten)]
@@ -67,8 +71,9 @@ pub(crate) fn run(args: GenerateArgs) -> anyhow::Result<()> {
         return Err(WrongUsage(message).into());
     }
     let (log, roots, out) = (args.source.log.clone(), args.source.roots.clone(), args.folder.out.clone());
+    let generated_only = args.generated_only;
     let open = |folder: PathBuf| -> anyhow::Result<_> {
-        let copy = DatasetCopy::open(&log.path, &folder, Some(&out))?;
+        let copy = DatasetCopy::open(&log, &folder, Some(&out))?;
         copy.check(roots.open(&log)?.recording())?;
         Ok((folder, copy))
     };
@@ -76,15 +81,23 @@ pub(crate) fn run(args: GenerateArgs) -> anyhow::Result<()> {
     simulate::run(args.simulation())?;
     if let Some((folder, copy)) = copy {
         let log = roots.open(&log)?;
-        let counts = copy.write(&[CopiedLog { log: log.recording(), rollout: &out }])?;
-        print_result(&format!(
-            "{} images replaced, {} kept: {}",
-            counts.replaced,
-            counts.retained,
-            folder.display()
-        ));
+        let logs = [CopiedLog { log: log.recording(), rollout: &out }];
+        let counts = write_copy(copy, &logs, generated_only)?;
+        print_result(&format!("{counts}: {}", folder.display()));
     }
     Ok(())
+}
+
+/// Writes a copy of the data set, whole or with only the generated samples. Returns its counts.
+pub(super) fn write_copy(
+    copy: DatasetCopy<'_>,
+    logs: &[CopiedLog<'_>],
+    generated_only: bool,
+) -> anyhow::Result<String> {
+    Ok(match generated_only {
+        true => copy.write_generated(logs)?.to_string(),
+        false => copy.write(logs)?.to_string(),
+    })
 }
 
 impl GenerateArgs {

@@ -375,7 +375,8 @@ fn read<T: DeserializeOwned>(tables: &Path, table: &str) -> Result<Vec<T>, FileE
     json::read(&path(tables, table), &format!("a table of {table} records"))
 }
 
-fn write<T: Serialize>(folder: &Path, table: &str, records: &[T]) -> Result<(), FileError> {
+/// Writes a table.
+pub(super) fn write<T: Serialize>(folder: &Path, table: &str, records: &[T]) -> Result<(), FileError> {
     let path = path(folder, table);
     write_whole(&path, |out| {
         serde_json::to_writer(out, records).map_err(|error| FileError::io("write", &path)(error.into()))

@@ -12,7 +12,7 @@ use clap::Args;
 use point_skeleton::Log;
 use point_skeleton::conditions::write::meta::PromptParts;
 use point_skeleton::conditions::{Captions, ConditionOptions, MapFormat};
-use point_skeleton::dataset::{LogLocator, LogOpener, nuscenes};
+use point_skeleton::dataset::{LogLocator, LogOpener};
 use point_skeleton::error::{FileError, with_causes};
 use point_skeleton::files::input::is_there;
 use point_skeleton::files::{Inputs, OutputFolder, write_json, write_whole};
@@ -32,6 +32,7 @@ use serde::Serialize;
 use serde_json::{Value, json};
 
 use super::super::simulate::{self, ClipArgs, SimulateArgs};
+use super::copy::{CopyArgs, check_one_dataset};
 use super::logs::ProtocolLogs;
 use crate::args::generator::GeneratorArgs;
 use crate::args::images::ImageArgs;
@@ -49,7 +50,7 @@ use crate::{WrongUsage, logs, print_progress, print_result};
 
 /// Run an evaluation protocol: generate its clips and score them
 ///
-/// Writes a rollout per clip, PART/CLIP, then table.md and results.json, and for parts with a copy of the
+/// Writes a rollout per clip, PART/CLIP, then table.md and results.json, and for a part with a copy of the
 /// data set (nuScenes) dataset, in which the generated images of all scenes replace the recorded ones.
 /// Finished rollouts are retained and others resumed, so the same command continues an interrupted run. Logs
 /// that fail are reported at the end.
@@ -67,6 +68,8 @@ pub(crate) struct ClipProtocolArgs {
     /// At most this number of clips per recording and part [default: all]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
     clips: Option<u16>,
+    #[command(flatten)]
+    copy: CopyArgs,
     /// Policy of the other actors where the ego leaves the log
     #[arg(long, value_name = "POLICY", default_value_t, value_parser = names::<ActorPolicy>())]
     actors: ActorPolicy,
@@ -150,7 +153,7 @@ pub(super) fn run(protocol: Protocol, args: &ClipProtocolArgs) -> anyhow::Result
     let files = OutputFolder::open(&args.given.folder.out, "protocol", &args.inputs(&logs))?;
     files.check(FILES)?;
     let dataset = files.folder("dataset")?;
-    let copy = copied.map(|_| DatasetCopy::open(&logs[0].path, &dataset, None)).transpose()?;
+    let copy = copied.map(|_| DatasetCopy::open(&logs[0], &dataset, None)).transpose()?;
     parts.iter().try_for_each(|part| files.folder(part.name).map(drop))?;
     let references = args.settle(protocol, &logs, &opener, &files)?;
     let parts = parts.into_iter().map(|part| PartRollouts { part, folders: Vec::new(), frames: 0 }).collect();
@@ -200,6 +203,7 @@ impl ClipProtocolArgs {
             [] => !part.is_optional,
             selected => selected.iter().any(|name| name == part.name),
         });
+        self.copy.select(&mut parts)?;
         Ok(parts)
     }
 
@@ -283,13 +287,14 @@ impl Run<'_> {
         let log = source.recording();
         anyhow::ensure!(!self.logs.contains(&log.name), "expected each name once, found {} again", log.name);
         self.copy.as_ref().map_or(Ok(()), |copy| copy.check(log))?;
+        let rates = Rates::of(locator.format);
+        self.parts.iter().try_for_each(|rollouts| rollouts.part.check_copy(log, rates))?;
         let skeleton = self.args.given.skeletons.skeletons.join(&log.name);
         if !skeleton.exists() {
             print_progress(&format!("building {}", skeleton.display()));
         }
         let built = skeleton::open_or_build(&skeleton, source.reader())?;
         let limit = self.args.clips.map_or(usize::MAX, usize::from);
-        let rates = Rates::of(locator.format);
         let scenario = Scenario { log, map: source.require_map()?, rates };
         let paths = InputPaths {
             log: &locator.path,
@@ -432,26 +437,9 @@ impl Run<'_> {
         let logs: Vec<CopiedLog<'_>> =
             (self.copied.iter()).map(|(log, rollout)| CopiedLog { log: log.recording(), rollout }).collect();
         if let Some(copy) = self.copy.filter(|_| !logs.is_empty()) {
-            let counts = copy.write(&logs)?;
-            let place = dataset.display();
-            print_progress(&format!(
-                "{} images replaced, {} kept: {place}",
-                counts.replaced, counts.retained
-            ));
+            self.args.copy.write(copy, &logs, dataset)?;
         }
         print_result(table.trim_end());
         Ok(())
     }
-}
-
-/// Checks that all logs are of one nuScenes data set, which a part copies.
-fn check_one_dataset(part: &Part, logs: &[LogLocator]) -> Result<(), WrongUsage> {
-    let first = logs.first().map(|log| &log.path);
-    let other = logs.iter().find(|log| *log.format != nuscenes::FORMAT || Some(&log.path) != first);
-    other.map_or(Ok(()), |other| {
-        let (name, other) = (part.name, other.to_string());
-        Err(WrongUsage(format!(
-            "expected recordings nuscenes:.. of one folder for part {name}, found {other}"
-        )))
-    })
 }

@@ -3,6 +3,7 @@
 
 mod ablation;
 mod clips;
+mod copy;
 mod export;
 mod logs;
 mod table;

@@ -94,16 +94,19 @@ fn scenes_are_generated_scored_and_copied_into_one_data_set() {
 
 #[test]
 fn an_interrupted_protocol_ends_with_the_same_bytes() {
+    let only = &format!("{VAL} --generated-only");
     let log = two_scenes("");
-    assert!(log.run(VAL).status.success());
+    assert!(log.run(only).status.success());
+    assert_eq!(log.json("out/dataset/generated.json")["samples"].as_array().unwrap().len(), 4);
     // The network fails in the middle of the second scene.
     let fails = "if os.path.exists('out/2hz/tiny/index.json'): raise SystemExit(3)";
     let broken = two_scenes(&at_call(3, fails));
-    let output = broken.run(VAL);
+    let output = broken.run(only);
     assert_failed(&output, 1, &["failed: nuscenes:log", "part 2hz, clip tiny-b", "failed recordings: 1"]);
     assert!(table(&broken).lines().nth(2).unwrap().starts_with("| 2hz | 1 | 2 of 16 | "));
+    assert_eq!(broken.json("out/dataset/generated.json")["samples"].as_array().unwrap().len(), 2);
     denoiser(&broken, "");
-    let output = broken.run(VAL);
+    let output = broken.run(only);
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     let (whole, resumed) = (tree(&log.path("out")), tree(&broken.path("out")));
     assert_eq!(whole.keys().collect::<Vec<_>>(), resumed.keys().collect::<Vec<_>>());
@@ -112,7 +115,7 @@ fn an_interrupted_protocol_ends_with_the_same_bytes() {
     }
     // Finished rollouts are retained.
     let before = std::fs::metadata(log.path("out/2hz/tiny/index.json")).unwrap().modified().unwrap();
-    assert!(log.run(VAL).status.success());
+    assert!(log.run(only).status.success());
     let after = std::fs::metadata(log.path("out/2hz/tiny/index.json")).unwrap().modified().unwrap();
     assert_eq!(before, after);
 }
@@ -153,13 +156,31 @@ fn invalid_protocols_are_rejected_before_writing() {
         &["expected --parts of 6hz, 2hz, long"],
     );
     let town = "nuscenes-val nuscenes:log town:seed=1,frames=2 --other-logs";
-    assert_failed(&run(town), 2, &["of one folder for part 2hz", "town:seed=1,frames=2"]);
+    assert_failed(&run(town), 2, &["of one folder and version for part 2hz", "town:seed=1,frames=2"]);
+    for (options, expected) in [
+        ("--copy 3hz", "expected --copy of 6hz, 2hz, long, found 3hz"),
+        ("--parts 6hz --copy 2hz", "expected --copy of 6hz, found 2hz"),
+        ("--parts 6hz --generated-only", "expected --copy PART with --generated-only, found no part with"),
+    ] {
+        assert_failed(&run(&format!("{val} --other-logs {options}")), 2, &[expected]);
+    }
+    let town = "lane-change town:seed=1,frames=2";
+    assert_failed(&run(&format!("{town} --copy lane_change")), 2, &["--copy of replay, found lane_change"]);
+    assert_failed(
+        &run(&format!("{town} --copy replay")),
+        2,
+        &["nuscenes:.. of one folder and version for part replay"],
+    );
     assert_failed(&run("nuscenes-val nuscenes:log nuscenes:log --other-logs"), 2, &["each log once"]);
     assert!(!log.path("p").exists());
     let short = format!("{val} --other-logs --parts 2hz --generator fill --window 4");
     let parts =
         ["part 2hz", "expected a log of more than 3 frames at 2.0 Hz, found 3", "every recording failed: 1"];
     assert_failed(&run(&short), 1, &parts);
+    let slow = format!("{val} --other-logs --copy long --generator fill --window 2");
+    let parts = ["expected a log with frames at 6 Hz for the copy of part long, found 2.0 Hz", "--hz 12"];
+    assert_failed(&run(&slow), 1, &parts);
+    assert!(!log.path("p/6hz/tiny").exists(), "nothing is generated before");
     // Other options need another folder.
     let other = format!("{val} --other-logs --parts 2hz --generator fill --window 2 --radius 50");
     assert_failed(&run(&other), 1, &["expected the", "of this command, found another", "protocol.json"]);
