@@ -2,6 +2,7 @@
 //! with variants of the generator. [`table`] joins results, [`export`] writes images for other programs.
 
 mod ablation;
+mod clip_args;
 mod clips;
 mod copy;
 mod export;
@@ -13,7 +14,7 @@ use point_skeleton::named::Named as _;
 use pskel_eval::protocol::Protocol;
 
 use self::ablation::AblationArgs;
-use self::clips::ClipProtocolArgs;
+use self::clip_args::ClipProtocolArgs;
 use self::export::ExportImagesArgs;
 use self::table::TableArgs;
 
