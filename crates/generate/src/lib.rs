@@ -39,11 +39,12 @@ pub use generator::cache::{Cache, CacheError};
 pub use generator::session::{AnyDenoiser, Session, SessionError, SessionParts};
 pub use generator::strategy::Strategy;
 pub use generator::window::{Progress, Roll};
+pub use imported::counts::{Counted, ImportCounts};
 #[cfg(feature = "video")]
 pub use imported::export::ExportError;
 pub use imported::export::RolloutImages;
 pub use imported::folder::{ImageFolder, ImageLayout, ImportOptions};
-pub use imported::matching::{ClipFrames, ClipImages, Counted, ImportCounts};
+pub use imported::matching::{ClipFrames, ClipImages};
 pub use imported::session::ImportSession;
 pub use options::GenerateOptions;
 pub use process::{DenoiserRig, ProcessDenoiser};
