@@ -13,10 +13,12 @@ mod rows;
 mod run;
 mod scene;
 mod study;
+mod variant;
 
 pub use error::AblationError;
 pub use options::{AblationOptions, Networks, Origin};
 pub use report::Report;
-pub use rows::{Table, Variant};
+pub use rows::Table;
 pub use run::RunResult;
 pub use study::Ablation;
+pub use variant::Variant;

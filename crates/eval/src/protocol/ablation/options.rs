@@ -5,7 +5,7 @@ use pskel_network::Network;
 use serde::{Deserialize, Serialize};
 
 use super::error::AblationError;
-use super::rows::Variant;
+use super::variant::Variant;
 
 /// Options shared by all variants.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]

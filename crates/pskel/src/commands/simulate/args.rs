@@ -12,8 +12,6 @@ use point_skeleton::files::{Inputs as InputPaths, OutputFile};
 use point_skeleton::scene::{EgoOffset, SceneMap, frame_rate_hz};
 #[cfg(feature = "network")]
 use pskel_eval::protocol::ClipClock;
-#[cfg(feature = "network")]
-use pskel_generate::ClipImages;
 #[cfg(feature = "mcap")]
 use pskel_sim::rollout::MCAP;
 use pskel_sim::rollout::Profile;
@@ -21,7 +19,7 @@ use pskel_sim::{
     ActorPolicy, EgoKind, EgoPolicy, LocalPath, PathAnchor, PlannerAddress, PlannerSpec, Scenario, SimOptions,
 };
 
-use super::generation::GeneratorArgs;
+use super::generation::{GeneratorArgs, GivenImages};
 use super::inputs::Inputs;
 use super::policies::PolicyArgs;
 use crate::args::maps::MapArgs;
@@ -97,9 +95,8 @@ pub(crate) struct SimulateArgs {
     #[arg(skip)]
     copies_dataset: bool,
     /// Images of another program in the place of a generator; used by `pskel protocol`.
-    #[cfg(feature = "network")]
     #[arg(skip)]
-    pub(super) images: Option<ClipImages>,
+    pub(super) images: GivenImages,
     /// Keeps the tables of a data set between its logs; used by `pskel protocol`.
     #[arg(skip)]
     opener: Arc<LogOpener>,
@@ -134,7 +131,7 @@ pub(crate) struct ClipArgs {
     pub(crate) prompt: PromptArgs,
     pub(crate) generator: GeneratorArgs,
     /// Images of another program in the place of the generator's.
-    pub(crate) images: Option<ClipImages>,
+    pub(crate) images: GivenImages,
     pub(crate) maps: MapArgs,
     pub(crate) substitutes: SubstituteArgs,
     pub(crate) rasterizer: RasterizerArgs,

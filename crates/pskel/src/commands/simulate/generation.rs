@@ -6,8 +6,8 @@ mod with_network;
 mod without_network;
 
 #[cfg(feature = "network")]
-pub(crate) use with_network::GeneratorArgs;
-#[cfg(feature = "network")]
 pub(super) use with_network::Opened;
+#[cfg(feature = "network")]
+pub(crate) use with_network::{GeneratorArgs, GivenImages};
 #[cfg(not(feature = "network"))]
-pub(super) use without_network::{GeneratorArgs, Opened};
+pub(super) use without_network::{GeneratorArgs, GivenImages, Opened};

@@ -60,7 +60,7 @@ pub(crate) fn rollout(args: SimulateArgs) -> anyhow::Result<String> {
     let scenario = Scenario { log, map: map.clone(), rates: Rates::of(args.source.log.format) };
     let mut simulation = args.sim_options(&scenario)?;
     let rates = simulation.rates(scenario.rates, log).map_err(|error| usage(error.into()))?;
-    let opened = Opened::open(&args, log, rates.plan_hz)?;
+    let opened = Opened::open(&args.generator, &args.images, log, rates.plan_hz)?;
     args.check_steps(simulation.steps, opened.as_ref().map(Opened::window))?;
     simulation.warmup_frames = args.warmup_frames(opened.as_ref().map(Opened::window))?;
     let planned = Planned {

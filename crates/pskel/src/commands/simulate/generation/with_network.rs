@@ -6,10 +6,12 @@ use pskel_network::{GenerationScene, OpenedNetwork};
 use pskel_sim::rollout::ImageGenerator;
 use serde_json::{Value, json};
 
-use crate::commands::simulate::args::SimulateArgs;
 use crate::commands::simulate::inputs::Inputs;
 
 pub(crate) use crate::args::generator::GeneratorArgs;
+
+/// Images of another program in the place of generated ones.
+pub(crate) type GivenImages = Option<ClipImages>;
 
 /// The source of generated images.
 pub(crate) enum Opened {
@@ -21,15 +23,20 @@ pub(crate) enum Opened {
 
 impl Opened {
     /// Opens the network for a log that is generated at `fps` frames per second, unless images are given.
-    pub(crate) fn open(args: &SimulateArgs, log: &Recording, fps: f64) -> anyhow::Result<Option<Self>> {
-        if let Some(images) = &args.images {
+    pub(crate) fn open(
+        args: &GeneratorArgs,
+        images: &GivenImages,
+        log: &Recording,
+        fps: f64,
+    ) -> anyhow::Result<Option<Self>> {
+        if let Some(images) = images {
             return Ok(Some(Self::Images(images.clone())));
         }
-        if args.generator.generator.is_none() {
+        if args.generator.is_none() {
             return Ok(None);
         }
-        let captions = args.generator.captions(log)?;
-        let network = args.generator.open(&DenoiserRig::of(log, fps))?;
+        let captions = args.captions(log)?;
+        let network = args.open(&DenoiserRig::of(log, fps))?;
         Ok(network.map(|network| Self::Network(Box::new(network), captions)))
     }
 

@@ -6,12 +6,14 @@ use pskel_sim::rollout::ImageGenerator;
 use serde_json::Value;
 
 use crate::WrongUsage;
-use crate::commands::simulate::args::SimulateArgs;
 use crate::commands::simulate::inputs::Inputs;
 
 /// No options.
 #[derive(Debug, Args)]
 pub(crate) struct GeneratorArgs {}
+
+/// There are no images of another program.
+pub(crate) type GivenImages = ();
 
 /// There is no generator.
 pub(crate) enum Opened {}
@@ -31,7 +33,12 @@ impl GeneratorArgs {
 }
 
 impl Opened {
-    pub(crate) fn open(_: &SimulateArgs, _log: &Recording, _fps: f64) -> anyhow::Result<Option<Self>> {
+    pub(crate) fn open(
+        _: &GeneratorArgs,
+        _: &GivenImages,
+        _log: &Recording,
+        _fps: f64,
+    ) -> anyhow::Result<Option<Self>> {
         Ok(None)
     }
 
