@@ -23,7 +23,7 @@ def main(dataset, out, *empty):
     truth = load_gt_of_sample_tokens(nusc, tokens, DetectionBox)
     results = {token: [{**box.serialize(), "detection_score": 1.0} for box in truth[token] if token not in empty] for token in tokens}
     path = Path(out) / "results.json"
-    path.write_text(json.dumps({"meta": {}, "results": results}))
+    path.write_text(json.dumps({"meta": {}, "results": results}, default=list))
     # The split of splits.json, which the copy of generated samples has.
     evaluation = DetectionEval(nusc, config_factory("detection_cvpr_2019"), str(path), "generated", out, verbose=False)
     metrics = evaluation.evaluate()[0].serialize()

@@ -4,6 +4,7 @@ The devkit needs an environment of its own: its Python is named by PSKEL_NUSCENE
 """
 
 import json
+import math
 import os
 import subprocess
 import sys
@@ -27,7 +28,7 @@ CATEGORIES = [
     "movable_object.trafficcone",
     "movable_object.barrier",
 ]
-FRAMES = 40
+FRAMES = 10
 
 pytestmark = pytest.mark.skipif(PYTHON is None, reason="needs PSKEL_NUSCENES_PYTHON")
 
@@ -40,9 +41,9 @@ def run(*command):
 
 @pytest.fixture(scope="module")
 def town(tmp_path_factory):
-    """A town at 12 Hz with objects of all ten classes: its models keep their shapes, and get other categories."""
+    """A town at 6 Hz with objects of all ten classes: its models keep their shapes, and get other categories."""
     folder = tmp_path_factory.mktemp("town")
-    run(sys.executable, "-m", "pskel", "town", f"seed=3,frames={FRAMES},hz=12,size=45x80", "--out", folder / "data")
+    run(sys.executable, "-m", "pskel", "town", f"seed=3,frames={FRAMES},hz=6,size=45x80", "--out", folder / "data")
     (folder / "recipe.json").write_text('{"drawn": "45x80", "size": "45x80"}')
     tables = folder / "data/v1.0-town"
     boxes = json.loads((tables / "sample_annotation.json").read_text())
@@ -56,7 +57,7 @@ def town(tmp_path_factory):
     return folder
 
 
-@pytest.mark.parametrize(("part", "every"), [("6hz", 2), ("2hz", 6), ("long", 2)])
+@pytest.mark.parametrize(("part", "every"), [("6hz", 1), ("2hz", 3)])
 def test_detection_of_the_truth_is_perfect_on_generated_samples(town, tmp_path, part, every):
     """Ground-truth boxes as the result reach mAP 1 on exactly the generated samples, in all ten classes."""
     options = ["--other-logs", "--parts", part, "--copy", part, "--generated-only", "--skeletons", town / "skeletons"]
@@ -64,9 +65,9 @@ def test_detection_of_the_truth_is_perfect_on_generated_samples(town, tmp_path, 
     log = f"nuscenes:{town / 'data'}@v1.0-town"
     run(sys.executable, "-m", "pskel", "protocol", "nuscenes-val", log, *options, "--out", tmp_path / "out")
     dataset = tmp_path / "out/dataset"
-    # One reference, then every second or sixth sample to the end of the log.
+    # After a reference, every or every third sample, to the end of the log.
     source = sorted(json.loads((town / "data/v1.0-town/sample.json").read_text()), key=lambda sample: sample["timestamp"])
-    expected = [sample["token"] for sample in source[every:FRAMES:every]]
+    expected = [sample["token"] for sample in source[every::every]]
     listed = json.loads((dataset / "generated.json").read_text())["samples"]
     assert [sample["token"] for sample in listed] == expected
     assert all((dataset / name).stat().st_size > 0 for sample in listed for name in sample["images"].values())
@@ -80,6 +81,8 @@ def test_detection_of_the_truth_is_perfect_on_generated_samples(town, tmp_path, 
     assert scores["mean_ap"] == pytest.approx(1, abs=1e-12)
     for errors in scores["label_tp_errors"].values():
         assert all(errors[name] == pytest.approx(0, abs=1e-6) for name in ("trans_err", "scale_err"))
+        # Undefined for cones and barriers.
+        assert math.isnan(errors["vel_err"]) or errors["vel_err"] == pytest.approx(0, abs=1e-6)
     if part == "2hz":
         # Without the boxes of a sample, they are missed.
         scores = json.loads(run(PYTHON, TESTS / "detection_of_truth.py", dataset, tmp_path / "eval", expected[0]))

@@ -76,7 +76,7 @@ fn generated_samples_alone_are_a_data_set() {
     assert_eq!(log.json("copy/generated.json"), list);
     assert_eq!(log.json("copy/v1.0-mini/splits.json"), json!({"generated": ["tiny"]}));
     // `pskel` reads it as any data set.
-    assert_eq!(opened(&log, "copy").frames().len(), 2);
+    assert_eq!(opened(&log, "copy").frames().count(), 2);
     assert_failed(&log.run(&format!("{FILL} --out new --generated-only")), 2, &["--dataset"]);
 }
 

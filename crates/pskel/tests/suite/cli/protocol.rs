@@ -177,7 +177,7 @@ fn invalid_protocols_are_rejected_before_writing() {
     let parts =
         ["part 2hz", "expected a log of more than 3 frames at 2.0 Hz, found 3", "every recording failed: 1"];
     assert_failed(&run(&short), 1, &parts);
-    let slow = format!("{val} --other-logs --copy long --generator fill --window 2");
+    let slow = format!("{val} --other-logs --copy long --generator fill --window 4");
     let parts = ["expected a log with frames at 6 Hz for the copy of part long, found 2.0 Hz", "--hz 12"];
     assert_failed(&run(&slow), 1, &parts);
     assert!(!log.path("p/6hz/tiny").exists(), "nothing is generated before");
