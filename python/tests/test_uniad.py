@@ -1,4 +1,4 @@
-"""Figures of UniAD, read from files and printed output in its layout (tools/test.py --eval bbox of UniAD v1.0 and v2.0)."""
+"""Figures of UniAD, read from files and printed output in its layout (tools/test.py --eval bbox, v1.0 and v2.0)."""
 
 import json
 import subprocess
@@ -54,7 +54,13 @@ evaluate motion mAP-minFDE metrics...
 {'pts_bbox_NuScenes/NDS': 0.4985, 'drivable_iou': 0.69}
 """
 #: Areas of two samples: intersection and union, in UniAD's order.
-AREAS = {"drivable": [(30, 40), (10, 60)], "lanes": [(1, 10), (5, 6)], "divider": [(0, 5), (2, 3)], "crossing": [(0, 0), (0, 0)], "contour": [(1, 2), (1, 2)]}
+AREAS = {
+    "drivable": [(30, 40), (10, 60)],
+    "lanes": [(1, 10), (5, 6)],
+    "divider": [(0, 5), (2, 3)],
+    "crossing": [(0, 0), (0, 0)],
+    "contour": [(1, 2), (1, 2)],
+}
 
 
 @pytest.fixture
@@ -68,11 +74,19 @@ def results(tmp_path):
         maps[token] = {}
         for name, areas in AREAS.items():
             shared, both = areas[place]
-            maps[token] |= {f"{name}_intersection": float(shared), f"{name}_union": float(both), f"{name}_iou": shared / both if both else float("nan")}
+            maps[token] |= {
+                f"{name}_intersection": float(shared),
+                f"{name}_union": float(both),
+                f"{name}_iou": shared / both if both else float("nan"),
+            }
     content = {"meta": {"use_camera": True}, "results": {"s1": [], "s2": []}, "map_results": maps}
     (folder / "results_nusc.json").write_text(json.dumps(content))
-    (folder / "det/metrics_summary.json").write_text(json.dumps({"mean_ap": 0.3798, "nd_score": 0.4985, "tp_errors": {"trans_err": 0.6}}))
-    (folder / "track/metrics_summary.json").write_text(json.dumps({"amota": 0.363, "amotp": 1.32, "recall": 0.46, "ids": 900}))
+    (folder / "det/metrics_summary.json").write_text(
+        json.dumps({"mean_ap": 0.3798, "nd_score": 0.4985, "tp_errors": {"trans_err": 0.6}})
+    )
+    (folder / "track/metrics_summary.json").write_text(
+        json.dumps({"amota": 0.363, "amotp": 1.32, "recall": 0.46, "ids": 900})
+    )
     # That of the last evaluation of motions, which is not the one that papers print.
     (folder / "metrics_summary.json").write_text(json.dumps({"label_tp_errors": {"car": {"min_ade_err": 9.0}}}))
     (tmp_path / "eval.log").write_text(LOG)
@@ -101,7 +115,14 @@ def test_nine_columns_are_printed(uniad, results, tmp_path):
     assert cells(done) == detection | maps | {"L2 1 s (m)": "0.51", "L2 2 s (m)": "0.98", "L2 3 s (m)": "1.65"}
     assert done.stderr == ""
     # The results by their file, too.
-    command = [sys.executable, "-m", "pskel.metrics.uniad", results / "results_nusc.json", "--log", tmp_path / "eval.log"]
+    command = [
+        sys.executable,
+        "-m",
+        "pskel.metrics.uniad",
+        results / "results_nusc.json",
+        "--log",
+        tmp_path / "eval.log",
+    ]
     assert subprocess.run(command, capture_output=True, text=True, check=True).stdout == done.stdout
 
 
@@ -110,7 +131,12 @@ def test_all_figures_are_those_of_the_last_run(uniad, results, tmp_path):
     found = cells(done)
     assert (found["AMOTA"], found["AMOTP (m)"]) == ("0.363", "1.320")
     assert [found[name] for name in ("minADE (m)", "minFDE (m)", "MR")] == ["0.708", "1.025", "0.151"]
-    assert [found[name] for name in ("IoU-n. (%)", "IoU-f. (%)", "VPQ-n. (%)", "VPQ-f. (%)")] == ["63.40", "40.20", "54.70", "33.50"]
+    assert [found[name] for name in ("IoU-n. (%)", "IoU-f. (%)", "VPQ-n. (%)", "VPQ-f. (%)")] == [
+        "63.40",
+        "40.20",
+        "54.70",
+        "33.50",
+    ]
     assert [found[f"Col. {name} (%)"] for name in ("1 s", "2 s", "3 s", "avg.")] == ["0.10", "0.15", "0.61", "0.29"]
     written = json.loads((tmp_path / "figures.json").read_text())
     assert written["samples"] == 2 and written["planning_definition"] == "uniad" and written["missing"] == {}
@@ -134,7 +160,10 @@ def test_missing_pieces_are_named(uniad, results, tmp_path):
     (results / "results_nusc.json").unlink()
     (results / "track/metrics_summary.json").unlink()
     done = uniad(results, status=1)
-    assert done.stderr.startswith("pskel.metrics.uniad: expected results of UniAD, found none (") and done.stderr.count("\n") == 1
+    assert (
+        done.stderr.startswith("pskel.metrics.uniad: expected results of UniAD, found none (")
+        and done.stderr.count("\n") == 1
+    )
 
 
 def test_results_of_another_set_are_refused(uniad, results, tmp_path):
@@ -147,11 +176,21 @@ def test_results_of_another_set_are_refused(uniad, results, tmp_path):
     listed.write_text(json.dumps({"samples": [{"token": "s2"}, {"token": "s1"}]}))
     uniad(results, "--generated", listed)
     where = f"results of the {{}} samples in {listed}, found"
-    assert refused(["s1"]).startswith(f"pskel.metrics.uniad: expected {where.format(1)} 0 missing and 1 others ('s2' is another): ")
-    assert refused(["s1", "s2", "s3"]).startswith(f"pskel.metrics.uniad: expected {where.format(3)} 1 missing and 0 others ('s3' is missing): ")
+    assert refused(["s1"]).startswith(
+        f"pskel.metrics.uniad: expected {where.format(1)} 0 missing and 1 others ('s2' is another): "
+    )
+    assert refused(["s1", "s2", "s3"]).startswith(
+        f"pskel.metrics.uniad: expected {where.format(3)} 1 missing and 0 others ('s3' is missing): "
+    )
     listed.write_text("[]")
-    assert "expected the list of generated samples of a copy, found another file" in uniad(results, "--generated", listed, status=1).stderr
+    assert (
+        "expected the list of generated samples of a copy, found another file"
+        in uniad(results, "--generated", listed, status=1).stderr
+    )
     (results / "results_nusc.json").write_text("no JSON")
     assert uniad(results, status=1).stderr.startswith("pskel.metrics.uniad: expected JSON, found another file")
     (results / "results_nusc.json").write_text('{"results": []}')
-    assert "expected results of UniAD with boxes by sample (results), found another file" in uniad(results, status=1).stderr
+    assert (
+        "expected results of UniAD with boxes by sample (results), found another file"
+        in uniad(results, status=1).stderr
+    )

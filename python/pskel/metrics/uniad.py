@@ -51,10 +51,10 @@ class Figures:
 
 
 def read_figures(results: Path, log: Path | None = None, generated: Path | None = None) -> Figures:
-    """Read what UniAD wrote: a result folder, or its results_nusc.json; and its printed output, for planning, motion, occupancy.
+    """Read what UniAD wrote: a result folder, or its results_nusc.json; for planning, motion and occupancy its output.
 
-    `generated` is the list generated.json of a copy, whose samples must be those of the results. Raises ValueError if they are
-    others, or if a file has another content.
+    `generated` is the list generated.json of a copy, whose samples must be those of the results. Raises ValueError if
+    they are others, or if a file has another content.
     """
     folder = results if results.is_dir() else results.parent
     file = results / _RESULTS if results.is_dir() else results
@@ -65,8 +65,15 @@ def read_figures(results: Path, log: Path | None = None, generated: Path | None 
         raise ValueError(f"expected {_RESULTS} to compare with {generated}, found none: {folder}")
     else:
         figures.missing["mapping"] = f"{_RESULTS} is missing"
-    _read_summary(folder / "det/metrics_summary.json", "detection", {"mAP (%)": ("mean_ap", 100), "NDS (%)": ("nd_score", 100)}, figures)
-    _read_summary(folder / "track/metrics_summary.json", "tracking", {"AMOTA": ("amota", 1), "AMOTP (m)": ("amotp", 1)}, figures)
+    _read_summary(
+        folder / "det/metrics_summary.json",
+        "detection",
+        {"mAP (%)": ("mean_ap", 100), "NDS (%)": ("nd_score", 100)},
+        figures,
+    )
+    _read_summary(
+        folder / "track/metrics_summary.json", "tracking", {"AMOTA": ("amota", 1), "AMOTP (m)": ("amotp", 1)}, figures
+    )
     _read_log(log, figures)
     return figures
 
@@ -86,9 +93,14 @@ def _read_results(path: Path, generated: Path | None, figures: Figures) -> None:
         return
     for name, title in zip(_MAPS, TASKS["mapping"], strict=True):
         try:
-            shared, both = (math.fsum(float(area[f"{name}_{kind}"]) for area in areas.values()) for kind in ("intersection", "union"))
+            shared, both = (
+                math.fsum(float(area[f"{name}_{kind}"]) for area in areas.values())
+                for kind in ("intersection", "union")
+            )
         except (KeyError, TypeError, ValueError, AttributeError) as error:
-            raise ValueError(f"expected {name}_intersection and {name}_union of each sample, found others: {path}") from error
+            raise ValueError(
+                f"expected {name}_intersection and {name}_union of each sample, found others: {path}"
+            ) from error
         figures.values[title] = 100 * shared / both if both else math.nan
 
 
@@ -97,12 +109,15 @@ def _check_samples(found: Iterable[str], path: Path, generated: Path) -> None:
     try:
         expected = {sample["token"] for sample in content["samples"]}
     except (KeyError, TypeError) as error:
-        raise ValueError(f"expected the list of generated samples of a copy, found another file: {generated}") from error
+        raise ValueError(
+            f"expected the list of generated samples of a copy, found another file: {generated}"
+        ) from error
     others, missing = sorted(set(found) - expected), sorted(expected - set(found))
     if others or missing:
         first = f"{others[0]!r} is another" if others else f"{missing[0]!r} is missing"
         raise ValueError(
-            f"expected results of the {len(expected)} samples in {generated}, found {len(missing)} missing and {len(others)} others ({first}): {path}"
+            f"expected results of the {len(expected)} samples in {generated}, "
+            f"found {len(missing)} missing and {len(others)} others ({first}): {path}"
         )
 
 
@@ -195,7 +210,13 @@ def table(figures: Figures, columns: Sequence[str]) -> str:
 
     def cell(column: str) -> str:
         value = figures.values.get(column, math.nan)
-        return "-" if math.isnan(value) else f"{value:.3f}" if column in {"AMOTA", "AMOTP (m)", *TASKS["motion"]} else f"{value:.2f}"
+        return (
+            "-"
+            if math.isnan(value)
+            else f"{value:.3f}"
+            if column in {"AMOTA", "AMOTP (m)", *TASKS["motion"]}
+            else f"{value:.2f}"
+        )
 
     rows = (columns, ["---:"] * len(columns), [cell(column) for column in columns])
     return "\n".join(f"| {' | '.join(row)} |" for row in rows)
@@ -203,11 +224,27 @@ def table(figures: Figures, columns: Sequence[str]) -> str:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command; returns the exit status, after an error in one line on standard error."""
-    parser = argparse.ArgumentParser(prog=f"python -m {_PROGRAM}", description="Print the figures of UniAD from its result files.")
-    parser.add_argument("results", type=Path, metavar="RESULTS", help=f"UniAD's result folder (test/CONFIG/TIME), or its {_RESULTS}")
-    parser.add_argument("--log", type=Path, metavar="FILE", help="its printed output (work_dirs/../logs/eval.*): planning, motion, occupancy")
-    parser.add_argument("--generated", type=Path, metavar="FILE", help="generated.json of the copy: fail if the results have other samples")
-    parser.add_argument("--all", action="store_true", help="all figures, in place of the nine columns of papers on generated images")
+    parser = argparse.ArgumentParser(
+        prog=f"python -m {_PROGRAM}", description="Print the figures of UniAD from its result files."
+    )
+    parser.add_argument(
+        "results", type=Path, metavar="RESULTS", help=f"UniAD's result folder (test/CONFIG/TIME), or its {_RESULTS}"
+    )
+    parser.add_argument(
+        "--log",
+        type=Path,
+        metavar="FILE",
+        help="its printed output (work_dirs/../logs/eval.*): planning, motion, occupancy",
+    )
+    parser.add_argument(
+        "--generated",
+        type=Path,
+        metavar="FILE",
+        help="generated.json of the copy: fail if the results have other samples",
+    )
+    parser.add_argument(
+        "--all", action="store_true", help="all figures, in place of the nine columns of papers on generated images"
+    )
     parser.add_argument("--out", type=Path, metavar="FILE", help="also write all figures as JSON")
     options = parser.parse_args(arguments)
     try:

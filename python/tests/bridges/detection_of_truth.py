@@ -1,7 +1,7 @@
 """Evaluates ground-truth boxes as a detection result, with nuscenes-devkit: detection_of_truth.py DATASET OUT [EMPTY..]
 
-Boxes, attributes and velocities of the result are those that the devkit computes for the ground truth. Samples with tokens
-EMPTY get no boxes. Prints scores as JSON. Runs in the environment of the devkit.
+Boxes, attributes and velocities of the result are those that the devkit computes for the ground truth. Samples with
+tokens EMPTY get no boxes. Prints scores as JSON. Runs in the environment of the devkit.
 """
 
 import json
@@ -21,7 +21,10 @@ def main(dataset, out, *empty):
     nusc = NuScenes(version=version, dataroot=dataset, verbose=False)
     tokens = [sample["token"] for sample in nusc.sample]
     truth = load_gt_of_sample_tokens(nusc, tokens, DetectionBox)
-    results = {token: [{**box.serialize(), "detection_score": 1.0} for box in truth[token] if token not in empty] for token in tokens}
+    results = {
+        token: [{**box.serialize(), "detection_score": 1.0} for box in truth[token] if token not in empty]
+        for token in tokens
+    }
     path = Path(out) / "results.json"
     path.write_text(json.dumps({"meta": {}, "results": results}, default=list))
     # The split of splits.json, which the copy of generated samples has.

@@ -51,7 +51,9 @@ def town(tmp_path_factory):
     instances = sorted(json.loads((tables / "instance.json").read_text()), key=lambda instance: -hit[instance["token"]])
     for place, instance in enumerate(instances):
         instance["category_token"] = f"category-{place % len(CATEGORIES)}"
-    categories = [{"token": f"category-{place}", "name": name, "description": ""} for place, name in enumerate(CATEGORIES)]
+    categories = [
+        {"token": f"category-{place}", "name": name, "description": ""} for place, name in enumerate(CATEGORIES)
+    ]
     (tables / "instance.json").write_text(json.dumps(instances))
     (tables / "category.json").write_text(json.dumps(categories))
     return folder
@@ -61,12 +63,25 @@ def town(tmp_path_factory):
 def test_detection_of_the_truth_is_perfect_on_generated_samples(town, tmp_path, part, every):
     """Ground-truth boxes as the result reach mAP 1 on exactly the generated samples, in all ten classes."""
     options = ["--other-logs", "--parts", part, "--copy", part, "--generated-only", "--skeletons", town / "skeletons"]
-    options += ["--generator", "fill", "--recipe", town / "recipe.json", "--window", "2", "--maps", "color", "--size", "45x80"]
+    options += [
+        "--generator",
+        "fill",
+        "--recipe",
+        town / "recipe.json",
+        "--window",
+        "2",
+        "--maps",
+        "color",
+        "--size",
+        "45x80",
+    ]
     log = f"nuscenes:{town / 'data'}@v1.0-town"
     run(sys.executable, "-m", "pskel", "protocol", "nuscenes-val", log, *options, "--out", tmp_path / "out")
     dataset = tmp_path / "out/dataset"
     # After a reference, every or every third sample, to the end of the log.
-    source = sorted(json.loads((town / "data/v1.0-town/sample.json").read_text()), key=lambda sample: sample["timestamp"])
+    source = sorted(
+        json.loads((town / "data/v1.0-town/sample.json").read_text()), key=lambda sample: sample["timestamp"]
+    )
     expected = [sample["token"] for sample in source[every::every]]
     listed = json.loads((dataset / "generated.json").read_text())["samples"]
     assert [sample["token"] for sample in listed] == expected
