@@ -19,6 +19,10 @@ from pathlib import Path
 SKIPPED = {"rollout.json", "index.json", "index.html", "metrics.json", ".pskel-files", "rollout.mp4", "skeleton.json"}
 RASTERIZERS = ["compute", "graphics", "cpu"]
 LAYOUTS = ["frames", "pas-cache", "opendwm-preview", "webdataset", "mcap", "world-scenario", "cosmos-video"]
+CLIPS = [
+    ("streetcrafter", "town:seed=7,frames=25,hz=10,size=40x72", "320x576"),
+    ("freevs", "town:seed=7,frames=6,size=45x80", "540x960"),
+]
 
 
 def show(folder, what):
@@ -83,6 +87,11 @@ def main():
                         "--frames", "0..3", "--shard-frames", 2, "--out-size", size, *images)
                     show(out, f"{name} export {layout}")
             if name == "town":
+                for layout, clips, clip_size in CLIPS:
+                    out = scratch / f"clips-{layout}"
+                    run("export", clips, "--layout", layout, "--skeletons", scratch / "clips-skeletons", "--out", out,
+                        "--size", clip_size)
+                    show(out, f"{name} export {layout}")
                 for generator in ("fill", "network"):
                     out = scratch / f"generated-{generator}"
                     run("simulate", log, "--skeleton", skeleton, "--out", out, "--steps", 20, "--ego", "straight",

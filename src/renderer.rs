@@ -27,6 +27,9 @@ pub struct RenderOptions<'a> {
     pub log: Option<&'a str>,
     /// Whether the maps have the lens distortion of the recorded cameras.
     pub distort: bool,
+    /// Whether depth, class, instance and point maps show the color cloud, so that they describe the color
+    /// map.
+    pub one_cloud: bool,
     /// Whether the map layout is left out for states without an HD map; otherwise they are an error.
     pub optional_map: bool,
 }
@@ -40,6 +43,7 @@ impl Default for RenderOptions<'_> {
             substitutes: Substitutes::built_in(),
             log: None,
             distort: false,
+            one_cloud: false,
             optional_map: false,
         }
     }
@@ -87,6 +91,7 @@ impl<'a> Renderer<'a> {
     pub fn new(skeleton: &'a Skeleton, options: RenderOptions<'a>) -> Result<Self, Error> {
         let first = skeleton.manifest.sources.first().map_or("", |source| source.log.as_str());
         let clouds = SceneClouds::with(skeleton, options.log.unwrap_or(first), options.substitutes);
+        let clouds = if options.one_cloud { clouds.of_color() } else { clouds };
         let rasterizer = raster::create(&options.rasterizer, clouds.cloud_set())?;
         let distorter = options.distort.then(|| Distorter::new(&options.conditions)).transpose()?;
         let without_map = options.optional_map.then(|| {

@@ -65,6 +65,7 @@ def export(
     verify: bool = False,
     format: str = "png",
     color_folder: str = "proj_clr",
+    validation_logs: Sequence[str] | None = None,
     captions: str | PathLike[str] | None = None,
     annotations: str | PathLike[str] | None = None,
     sensor_root: str | PathLike[str] | None = None,
@@ -108,8 +109,9 @@ def export(
         Argoverse 2 logs is all of them.
     out : path
         Folder to write. Several processes may write to it.
-    layout : {"frames", "pas-cache", "opendwm-preview", "webdataset", "mcap", "world-scenario", "cosmos-video"}
-        Layout of the files.
+    layout : str
+        Layout of the files: frames, pas-cache, opendwm-preview, webdataset, streetcrafter, freevs, mcap,
+        world-scenario or cosmos-video.
     skeletons : path
         Folder of skeletons, one per log and named after it; those that do not exist are built.
     only : (I, N), optional
@@ -125,13 +127,17 @@ def export(
     hz : float, optional
         Export samples at this rate (0.1 to 100 per second) instead of key frames; ego and actors are interpolated.
     images : bool
-        Also export the recorded images, without lens distortion and at the size of the maps.
+        Also export the recorded images, without lens distortion and at the size of the maps; the layouts
+        streetcrafter and freevs have them in any case.
     verify : bool
         Compare the checksums of existing shards, and write those that differ again.
     format : {"png", "safetensors"}
         Files of maps; safetensors only with ``layout="webdataset"``.
     color_folder : str
         Folder of the color maps in the layout pas-cache.
+    validation_logs : sequence of str, optional
+        Logs of the validation split in the layout streetcrafter, by their names in shards. By default both splits
+        have all logs.
     captions : path, optional
         JSON file of captions by name of a log or token of an image.
     annotations : path, optional

@@ -75,6 +75,7 @@ class ExportKeywords(_MapKeywords, total=False):
     verify: bool
     format: str
     color_folder: str
+    validation_logs: Sequence[str] | None
     captions: str | PathLike[str] | None
     annotations: str | PathLike[str] | None
     sensor_root: str | PathLike[str] | None

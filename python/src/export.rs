@@ -120,6 +120,11 @@ fn options(keywords: Keywords<'_, '_>) -> PyResult<ExportOptions> {
         images: keywords.get("images")?,
         times: times(keywords)?,
         color_folder: color_folder.to_string(),
+        validation_logs: keywords
+            .get::<Option<Vec<String>>>("validation_logs")?
+            .into_iter()
+            .flatten()
+            .collect(),
         prompt: prompt.map_err(|error| failed(error.into()))?.unwrap_or_default(),
         captions: captions.map_err(|error| failed(error.into()))?.unwrap_or_default(),
     };

@@ -86,6 +86,7 @@ impl Renderer {
                     log: Some(&source.log),
                     distort,
                     optional_map,
+                    ..RenderOptions::default()
                 };
                 point_skeleton::Renderer::new(&source.skeleton, options).map_err(raise)
             })

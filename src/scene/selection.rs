@@ -60,6 +60,8 @@ pub struct SceneClouds<'a> {
     color_assets: BTreeMap<&'a str, usize>,
     /// Cloud id and box size (meters), by kind.
     templates: BTreeMap<TemplateKind, (usize, DVec3)>,
+    /// Whether geometry shows the color cloud.
+    is_one_cloud: bool,
 }
 
 impl<'a> SceneClouds<'a> {
@@ -98,7 +100,13 @@ impl<'a> SceneClouds<'a> {
                 clouds.push(points.into());
             }
         }
-        Self { skeleton, clouds, assets, color_assets, templates }
+        Self { skeleton, clouds, assets, color_assets, templates, is_one_cloud: false }
+    }
+
+    /// Returns scene clouds whose geometry is the color cloud.
+    #[must_use]
+    pub fn of_color(self) -> Self {
+        Self { is_one_cloud: true, ..self }
     }
 
     /// Returns all clouds for a rasterizer, substitutes included.
@@ -119,7 +127,7 @@ impl<'a> SceneClouds<'a> {
         for (index, actor) in state.actors.iter().enumerate() {
             let (color, geometry) = self.actor_instances(actor, index as u32 + 1, options);
             both.color.extend(color);
-            both.geometry.extend(geometry);
+            both.geometry.extend(if self.is_one_cloud { color } else { geometry });
         }
         both
     }
@@ -316,6 +324,8 @@ mod tests {
         assert_eq!(list(&both.geometry), [(0, 0), (1, 1), (4, 2), (4, 3)]);
         assert_eq!(both.color[0].world_from_local.translation, DVec3::new(100.0, 200.0, 0.0));
         assert_eq!(skeleton.clouds().len(), 6);
+        let one = SceneClouds::new(&skeleton, "log").of_color().instances(&state, &options);
+        assert_eq!([&one.color, &one.geometry], [&both.color; 2]);
     }
 
     /// A degraded asset of color maps leaves the geometry, and the count of points that decides on it, as

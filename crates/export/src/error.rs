@@ -46,6 +46,22 @@ pub enum ExportError {
         /// The name.
         name: String,
     },
+    /// Two logs have one scene number in a layout that numbers them by their names.
+    #[error(
+        "expected logs whose names differ in their digits, which number scenes, found {name} and {other}"
+    )]
+    SameScene {
+        /// Name of a log.
+        name: String,
+        /// Name of the other one.
+        other: String,
+    },
+    /// A log of the validation split is not exported.
+    #[error("expected names of exported logs for the validation split, found {}", printable(name))]
+    NoLog {
+        /// The given name.
+        name: String,
+    },
     /// The progress callback requested a stop.
     #[error("export cancelled")]
     Stopped,

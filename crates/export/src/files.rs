@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use image::RgbImage;
 use image::codecs::jpeg::JpegEncoder;
 use image::imageops::{FilterType, resize};
 use point_skeleton::Log;
@@ -77,13 +78,46 @@ pub(crate) fn maps_for_8_bits(
     Ok(files.into_iter().flatten().collect())
 }
 
-/// Reads the recorded images of a sample, removes their lens distortion, resizes them to the size of each
-/// camera's maps, and encodes them as JPEG. `name` returns the name of a file by camera. Damaged images are
-/// skipped and counted in the shard's notes.
+/// Reads recorded images, removes their lens distortion, and resizes them to the size of each camera's maps.
+/// Damaged images are skipped and counted in the shard's notes.
 ///
 /// # Errors
 /// Fails if an image cannot be read, or if it is damaged and the log was opened with
 /// [`MissingData::Error`](point_skeleton::dataset::MissingData::Error).
+pub(crate) fn recorded_images(
+    shard: &mut Shard,
+    log: &Log,
+    records: &[Option<&ImageRecord>],
+    sizes: &[ImageSize],
+) -> Result<Vec<Option<RgbImage>>, ExportError> {
+    let truth = GroundTruthImages::new(log.reader());
+    let read = |(record, size): (&Option<&ImageRecord>, &ImageSize)| {
+        let Some(record) = record else { return Ok(None) };
+        let image = log.recording().unless_damaged(truth.of_record(record))?;
+        Ok(image.map(|image| resize(&image, size.width, size.height, FilterType::Triangle)))
+    };
+    let images: Vec<Option<RgbImage>> =
+        records.par_iter().zip(sizes).map(read).collect::<Result<_, ExportError>>()?;
+    let count = |images: usize| records.iter().flatten().count() - images;
+    shard.note("damaged image files", count(images.iter().flatten().count()));
+    Ok(images)
+}
+
+/// Encodes an image as JPEG. `path` is the file that errors name.
+///
+/// # Errors
+/// Fails if it cannot be encoded.
+pub(crate) fn jpeg(path: &Path, image: &RgbImage) -> Result<Vec<u8>, FileError> {
+    let mut bytes = Vec::new();
+    let encoded = JpegEncoder::new_with_quality(&mut bytes, QUALITY).encode_image(image);
+    encoded.map_err(|error| FileError::io("write", path)(std::io::Error::other(error)))?;
+    Ok(bytes)
+}
+
+/// Encodes the recorded images of a sample as JPEG. `name` returns the name of a file by camera.
+///
+/// # Errors
+/// Fails as [`recorded_images`].
 pub(crate) fn images_as_jpeg(
     shard: &mut Shard,
     log: &Log,
@@ -91,20 +125,10 @@ pub(crate) fn images_as_jpeg(
     sizes: &[ImageSize],
     name: impl Fn(usize) -> String + Sync,
 ) -> Result<Vec<Encoded>, ExportError> {
-    let truth = GroundTruthImages::new(log.reader());
-    let encode = |(camera, (image, size)): (usize, (&Option<&ImageRecord>, &ImageSize))| {
-        let Some(record) = image else { return Ok(None) };
-        let name = name(camera);
-        let Some(image) = log.recording().unless_damaged(truth.of_record(record))? else { return Ok(None) };
-        let image = resize(&image, size.width, size.height, FilterType::Triangle);
-        let mut bytes = Vec::new();
-        let encoded = JpegEncoder::new_with_quality(&mut bytes, QUALITY).encode_image(&image);
-        encoded.map_err(|error| FileError::io("write", Path::new(&name))(std::io::Error::other(error)))?;
-        Ok(Some(Encoded { name, bytes }))
+    let images = recorded_images(shard, log, &sample.images, sizes)?;
+    let encode = |(camera, image): (usize, &Option<RgbImage>)| {
+        let (image, name) = (image.as_ref()?, name(camera));
+        Some(jpeg(Path::new(&name), image).map(|bytes| Encoded { name, bytes }))
     };
-    let all = sample.images.par_iter().zip(sizes).enumerate();
-    let files: Vec<Option<Encoded>> = all.map(encode).collect::<Result<_, ExportError>>()?;
-    let files: Vec<Encoded> = files.into_iter().flatten().collect();
-    shard.note("damaged image files", sample.images.iter().flatten().count() - files.len());
-    Ok(files)
+    Ok(images.par_iter().enumerate().filter_map(encode).collect::<Result<_, FileError>>()?)
 }

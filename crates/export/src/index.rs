@@ -27,10 +27,11 @@ pub enum Completeness {
     Record,
 }
 
-/// Writes `index.json` if all shards of a list exist, and returns whether they do.
+/// Writes `index.json` and the layout's lists of clips if all shards of a list exist, and returns whether
+/// they do.
 ///
 /// # Errors
-/// Fails if the file cannot be written.
+/// Fails if a file cannot be written, or if the samples are too few for the layout.
 pub fn write_index(
     list: &WorkList,
     out: &Path,
@@ -39,6 +40,7 @@ pub fn write_index(
 ) -> Result<bool, FileError> {
     let mut entries = Vec::new();
     let mut samples = 0;
+    let mut clips = layout::clip_lists(layout);
     for unit in list.logs.iter().flat_map(|log| &log.units) {
         let record = match completeness {
             Completeness::Files => ShardRecord::read(out, unit, None, false)?,
@@ -46,20 +48,30 @@ pub fn write_index(
         };
         let Some(record) = record else { return Ok(false) };
         samples += record.samples;
+        if let Some(clips) = &mut clips {
+            clips.add(&record);
+        }
         entries.push(layout::index_entry(layout, &record));
     }
-    let index = json!({
+    let mut index = json!({
         "__kind__": "wids-shard-index-v1", "wids_version": 1, "layout": layout,
         "nsamples": samples, "shardlist": entries,
     });
     let path = out.join(INDEX);
     INDEX_KIND.check(&path)?;
-    match write_json(&path, &index) {
-        // Another process writes the same bytes.
-        Ok(()) | Err(FileError::Busy { .. }) => {
-            SharedFolder::remove_work(out); // before, other processes may still begin shards
-            Ok(true)
-        }
-        Err(error) => Err(error),
+    if let Some(clips) = clips {
+        index["clips"] = clips.write(out)?;
+    }
+    unless_busy(write_json(&path, &index))?;
+    SharedFolder::remove_work(out); // before, other processes may still begin shards
+    Ok(true)
+}
+
+/// Returns the result of writing a file, which is a success if another process writes it: of the same shards
+/// come the same bytes.
+pub(crate) fn unless_busy(written: Result<(), FileError>) -> Result<(), FileError> {
+    match written {
+        Err(FileError::Busy { .. }) => Ok(()),
+        written => written,
     }
 }

@@ -7,7 +7,7 @@ use point_skeleton::raster::RasterizerDesc;
 
 use crate::{
     Completeness, Export, ExportError, ExportOptions, ExportProgress, ExportReport, Failure, Part, WorkList,
-    export, write_index,
+    export, layout, write_index,
 };
 
 /// An export of named logs.
@@ -102,9 +102,11 @@ impl ExportJob {
     /// are.
     ///
     /// # Errors
-    /// Fails if the file cannot be written.
+    /// Fails if the layout cannot have logs of these names, if the samples are too few for it, or if a file
+    /// cannot be written.
     pub fn write_index(&self, listed: &ListedExport, folder: &Path) -> Result<bool, ExportError> {
         let Some(list) = &listed.list else { return Ok(false) };
+        layout::check_logs(&self.options, list)?;
         Ok(write_index(list, folder, self.options.layout, Completeness::Record)?)
     }
 }

@@ -16,6 +16,7 @@ mod job;
 mod layout;
 mod options;
 mod report;
+mod rules;
 mod run;
 mod samples;
 mod shard;

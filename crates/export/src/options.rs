@@ -1,3 +1,5 @@
+use std::collections::BTreeSet;
+
 use point_skeleton::conditions::write::meta::PromptParts;
 use point_skeleton::conditions::{Captions, ConditionOptions, MapFormat, MapKind, MapSet};
 use point_skeleton::scene::{SelectionOptions, SubstituteOptions};
@@ -5,6 +7,7 @@ use point_skeleton::{named, named_in_files};
 use serde::Serialize;
 
 use crate::ExportError;
+use crate::rules::{self, ClipRules};
 
 /// File layout of an export.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -17,6 +20,10 @@ pub enum Layout {
     OpendwmPreview,
     /// Tar shards of WebDataset.
     Webdataset,
+    /// Clips of points and images for StreetCrafter.
+    Streetcrafter,
+    /// Clips of points and images for FreeVS.
+    Freevs,
     /// MCAP files with the schemas of Foxglove.
     #[cfg(feature = "mcap")]
     Mcap,
@@ -34,6 +41,8 @@ named!(Layout, "layout" {
         "Cache of the training code of Point as Skeleton: files by token of the image";
     OpendwmPreview => "opendwm-preview", "Packages of OpenDWM's PreviewDataset";
     Webdataset => "webdataset", "Tar shards of WebDataset";
+    Streetcrafter => "streetcrafter", "Clips of points and images for StreetCrafter, at 10 Hz";
+    Freevs => "freevs", "Clips of points and images for FreeVS, at 5 Hz";
     #[cfg(feature = "mcap")]
     Mcap => "mcap", "An MCAP log with Foxglove schemas per shard";
     #[cfg(feature = "parquet")]
@@ -50,7 +59,8 @@ impl Layout {
         match self {
             Self::Frames | Self::Webdataset => asked,
             // Layouts have another size than the rest, and are drawn by the writer.
-            Self::PasCache => MapSet::of(&[MapKind::Color, MapKind::Depth]),
+            Self::PasCache | Self::Streetcrafter => MapSet::of(&[MapKind::Color, MapKind::Depth]),
+            Self::Freevs => MapSet::of(&[MapKind::Color]),
             Self::OpendwmPreview => asked.without(MapKind::Tensor),
             #[cfg(feature = "mcap")]
             Self::Mcap => asked.without(MapKind::Tensor),
@@ -62,6 +72,20 @@ impl Layout {
                 MapSet::of(&shown.into_iter().filter(|kind| asked.contains(*kind)).collect::<Vec<_>>())
             }
         }
+    }
+
+    /// Returns the rules of a layout that consists of clips.
+    pub(crate) fn clip_rules(self) -> Option<&'static ClipRules> {
+        match self {
+            Self::Streetcrafter => Some(&rules::STREETCRAFTER),
+            Self::Freevs => Some(&rules::FREEVS),
+            _ => None,
+        }
+    }
+
+    /// Returns whether depth is the color cloud's, for masks of the color map.
+    pub(crate) fn has_color_masks(self) -> bool {
+        self == Self::Streetcrafter
     }
 
     /// Returns whether the layout has maps, so that a skeleton is needed.
@@ -140,6 +164,10 @@ pub struct ExportOptions {
     pub times: SampleTimes,
     /// Folder of the color maps in the layout [`Layout::PasCache`].
     pub color_folder: String,
+    /// Logs in the validation split of [`Layout::Streetcrafter`], by name. Without any, both splits have all
+    /// logs.
+    #[serde(skip_serializing_if = "BTreeSet::is_empty")]
+    pub validation_logs: BTreeSet<String>,
     /// Prompt parts for all logs.
     pub prompt: PromptParts,
     /// Captions of logs and images.
@@ -150,11 +178,23 @@ impl ExportOptions {
     /// Checks that the options fit together.
     ///
     /// # Errors
-    /// Fails if the layout cannot have samples at a rate, or if the format cannot store tensors.
+    /// Fails if the layout cannot have samples at these times, maps of this size or a validation split, or
+    /// if the format cannot store tensors.
     pub fn check(&self) -> Result<(), ExportError> {
         let wrong = |expected, found| Err(ExportError::Options { expected, found });
         if self.layout == Layout::PasCache && matches!(self.times, SampleTimes::Rate { .. }) {
             return wrong("no rate with the layout pas-cache, whose files are named after images", "one");
+        }
+        if let Some(rules) = self.layout.clip_rules() {
+            match self.times {
+                SampleTimes::KeyFrames => {}
+                SampleTimes::Images => rules.check_hz(None)?,
+                SampleTimes::Rate { hz } => rules.check_hz(Some(hz))?,
+            }
+            rules.check_size(&self.conditions)?;
+        }
+        if self.layout != Layout::Streetcrafter && !self.validation_logs.is_empty() {
+            return wrong("the layout streetcrafter with validation logs", "another layout");
         }
         if self.format == SampleFormat::Png && self.conditions.maps.contains(MapKind::Tensor) {
             return wrong("the format safetensors, and the layout webdataset, for the map tensor", "png");
@@ -169,6 +209,9 @@ impl ExportOptions {
             return true;
         }
         let maps = self.conditions.maps;
+        if self.layout.clip_rules().is_some() {
+            return false;
+        }
         maps.contains(MapKind::Map) || maps.contains(MapKind::Tensor)
     }
 

@@ -78,12 +78,14 @@ pub struct Export<'a> {
 ///
 /// # Errors
 /// Fails if the folder cannot be written, if it has an export with other options or foreign files, or if it
-/// is the folder of the skeletons, or is in a skeleton or a part of a log.
+/// is the folder of the skeletons, or is in a skeleton or a part of a log. Fails if the layout cannot have
+/// logs of these names, or if their samples are too few for it.
 pub fn export(run: Export<'_>) -> Result<ExportReport, ExportError> {
     if is_one_file(run.out, run.skeletons) {
         let expected = "a folder of skeletons apart from that of the export";
         return Err(FileError::content(expected, "the same", run.out).into());
     }
+    run.list.map_or(Ok(()), |list| layout::check_logs(run.options, list))?;
     let read = Inputs::new(run.part.logs.iter().flat_map(|log| log.locator.inputs()));
     claim(run.out, run.options, &read)?;
     std::fs::create_dir_all(run.skeletons).map_err(FileError::io("create", run.skeletons))?;
@@ -176,6 +178,7 @@ fn export_units(run: &Export<'_>, log: &ListedLog, report: &mut ExportReport) ->
         return Ok(());
     }
     layout::check(run.options, recording)?;
+    let conditions = layout::conditions(run.options, recording)?;
     let options = run.options;
     report.note(&recording.notes);
     let maps = options.rendered(map.is_some());
@@ -201,8 +204,9 @@ fn export_units(run: &Export<'_>, log: &ListedLog, report: &mut ExportReport) ->
     let mut renderer = Renderer::new(
         &skeleton,
         RenderOptions {
-            conditions: ConditionOptions { maps, ..options.conditions.clone() },
+            conditions: ConditionOptions { maps, ..conditions },
             selection: options.selection,
+            one_cloud: options.layout.has_color_masks(),
             rasterizer: run.rasterizer.clone(),
             substitutes: &substitutes,
             log: Some(&recording.name),

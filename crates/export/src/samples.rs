@@ -17,6 +17,8 @@ pub(crate) struct Sample<'a> {
     pub(crate) state: SceneState,
     /// Recorded image for each camera of the state.
     pub(crate) images: Vec<Option<&'a ImageRecord>>,
+    /// Number in the log: of samples at a rate from its first frame on, else of the frame.
+    pub(crate) number: usize,
     /// Frame of the log; for images between frames the next one.
     pub(crate) frame: usize,
     /// Whether it is the frame itself.
@@ -75,6 +77,7 @@ impl<'a> Sampler<'a> {
         Some(Sample {
             state: SceneState { map: self.map.clone(), ..state },
             images,
+            number: index,
             frame: index,
             is_key: true,
         })
@@ -104,6 +107,7 @@ impl<'a> Sampler<'a> {
             Some(Sample {
                 state: SceneState { map: self.map.clone(), ..state },
                 images,
+                number: number as usize,
                 frame: index,
                 is_key,
             })
@@ -121,7 +125,8 @@ impl<'a> Sampler<'a> {
         let before = index.checked_sub(1).map_or_else(|| "before".to_owned(), name_of_frame);
         let name = format!("{before}_{place:02}");
         let state = SceneState { name, map: self.map.clone(), ..state };
-        Some(Sample { state, images: images.into_iter().map(Some).collect(), frame: index, is_key: false })
+        let images = images.into_iter().map(Some).collect();
+        Some(Sample { state, images, number: index, frame: index, is_key: false })
     }
 }
 

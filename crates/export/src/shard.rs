@@ -3,7 +3,6 @@
 use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::{BufWriter, Read, Write};
-#[cfg(feature = "parquet")]
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
@@ -212,7 +211,6 @@ impl Shard {
     }
 
     /// Returns the key frames of the shard.
-    #[cfg(feature = "parquet")]
     pub(crate) fn frames(&self) -> Range<usize> {
         self.unit.frames.clone()
     }

@@ -54,7 +54,7 @@ pub fn encode_map(
 ) -> Result<Option<Vec<u8>>, ConditionError> {
     let encoded = match camera.pixels(kind) {
         Some(MapPixels::Rgb(rgb)) => encode_rgb(path, rgb, camera.size())?,
-        Some(MapPixels::Class(class)) => encode(path, class, camera.size(), ExtendedColorType::L8)?,
+        Some(MapPixels::Class(class)) => encode_gray(path, class, camera.size())?,
         _ => match gray_16(path, camera, kind, bins)? {
             Some(map) => encode(path, bytemuck::cast_slice(&map), camera.size(), ExtendedColorType::L16)?,
             None => return Ok(None),
@@ -107,6 +107,14 @@ pub fn write_rgb(path: &Path, rgb: &[[u8; 3]], size: ImageSize) -> Result<(), Fi
 /// Fails if `rgb` has another size.
 pub fn encode_rgb(path: &Path, rgb: &[[u8; 3]], size: ImageSize) -> Result<Vec<u8>, FileError> {
     encode(path, rgb.as_flattened(), size, ExtendedColorType::Rgb8)
+}
+
+/// Encodes one gray image of 8 bits. `path` is the file that errors name.
+///
+/// # Errors
+/// Fails if `gray` has another size.
+pub fn encode_gray(path: &Path, gray: &[u8], size: ImageSize) -> Result<Vec<u8>, FileError> {
+    encode(path, gray, size, ExtendedColorType::L8)
 }
 
 /// Encodes samples as PNG; 16-bit samples are in native byte order, as the encoder expects.

@@ -1,5 +1,6 @@
 //! Layouts: the files that each kind of reader expects. One module each.
 
+mod clips;
 #[cfg(feature = "video")]
 mod cosmos_video;
 mod frames;
@@ -13,14 +14,16 @@ mod webdataset;
 #[cfg(feature = "parquet")]
 mod world_scenario;
 
+use std::path::Path;
 #[cfg(feature = "parquet")]
 use std::sync::Arc;
 
 use point_skeleton::Log;
 use point_skeleton::Maps;
-use point_skeleton::conditions::ImageSize;
 use point_skeleton::conditions::write::meta::FrameMeta;
+use point_skeleton::conditions::{ConditionOptions, ImageSize};
 use point_skeleton::dataset::Recording;
+use point_skeleton::error::FileError;
 #[cfg(feature = "parquet")]
 use point_skeleton::scene::SceneMap;
 use point_skeleton::scene::frame_rate_hz;
@@ -28,7 +31,7 @@ use serde_json::Value;
 
 use crate::samples::Sample;
 use crate::shard::{Shard, ShardInput, ShardRecord};
-use crate::{ExportError, ExportOptions, Layout, ListedLog, SampleTimes};
+use crate::{ExportError, ExportOptions, Layout, ListedLog, SampleTimes, WorkList};
 
 /// Returns a writer of a shard.
 pub(crate) fn writer<'a>(
@@ -41,6 +44,8 @@ pub(crate) fn writer<'a>(
         Layout::PasCache => Box::new(pas_cache::PasCache::new(source)),
         Layout::OpendwmPreview => Box::new(opendwm_preview::Package::new(source, shard.name())),
         Layout::Webdataset => Box::new(webdataset::Tar::begin(shard, source)?),
+        Layout::Streetcrafter => Box::new(clips::streetcrafter::Scene::new(source)),
+        Layout::Freevs => Box::new(clips::freevs::Segment::new(source)),
         #[cfg(feature = "mcap")]
         Layout::Mcap => Box::new(mcap::Mcap::begin(shard, source)?),
         #[cfg(feature = "parquet")]
@@ -53,15 +58,48 @@ pub(crate) fn writer<'a>(
 /// Checks, before any work, that a layout can hold the maps of a log.
 ///
 /// # Errors
-/// Fails if the encoder of the layout cannot encode the sizes of the maps.
+/// Fails if the encoder of the layout cannot encode the sizes of the maps, or if the log has another rate or
+/// more cameras than the layout.
 pub(crate) fn check(options: &ExportOptions, log: &Recording) -> Result<(), ExportError> {
+    if let Some(rules) = options.layout.clip_rules() {
+        clips::check(rules, options, log)?;
+    }
     match options.layout {
+        Layout::Streetcrafter => clips::streetcrafter::check(log),
         #[cfg(feature = "video")]
         Layout::CosmosVideo => cosmos_video::check(options, log),
-        _ => {
-            let _ = log; // of interest to videos alone, which a build may leave out
-            Ok(())
-        }
+        _ => Ok(()),
+    }
+}
+
+/// Checks, before any work, the names of an export's logs.
+///
+/// # Errors
+/// Fails if the layout cannot have logs of these names, or if a named log does not exist.
+pub(crate) fn check_logs(options: &ExportOptions, list: &WorkList) -> Result<(), ExportError> {
+    match options.layout {
+        Layout::Streetcrafter => clips::streetcrafter::check_logs(options, list),
+        _ => Ok(()),
+    }
+}
+
+/// Returns the options for rendering a log: if no size is requested, with the layout's own.
+///
+/// # Errors
+/// Fails if the layout has no size for the cameras of the log.
+pub(crate) fn conditions(options: &ExportOptions, log: &Recording) -> Result<ConditionOptions, ExportError> {
+    match options.layout.clip_rules() {
+        Some(rules) => clips::sized(rules, &options.conditions, log),
+        None => Ok(options.conditions.clone()),
+    }
+}
+
+/// Returns the layout's lists of clips; `None` for layouts without clips.
+pub(crate) fn clip_lists(layout: Layout) -> Option<Box<dyn ClipLists>> {
+    match layout {
+        Layout::Streetcrafter => Some(Box::new(clips::streetcrafter::Lists::default())),
+        Layout::Freevs => Some(Box::new(clips::freevs::Lists::default())),
+        _ => None,
     }
 }
 
@@ -129,6 +167,18 @@ pub(crate) trait LayoutWriter {
 
     /// Writes what belongs to the shard as a whole.
     fn finish(self: Box<Self>, shard: &mut Shard) -> Result<(), ExportError>;
+}
+
+/// Lists of an export's clips, written when all shards exist.
+pub(crate) trait ClipLists {
+    /// Adds the views of a shard. Shards arrive in order.
+    fn add(&mut self, record: &ShardRecord);
+
+    /// Writes the lists into the folder of the export, and returns the numbers of clips and views.
+    ///
+    /// # Errors
+    /// Fails if there are not enough samples for a clip, or if a file cannot be written.
+    fn write(&self, out: &Path) -> Result<Value, FileError>;
 }
 
 /// Returns the map sizes of all cameras.

@@ -14,6 +14,7 @@ fn options(shard_frames: usize) -> ExportOptions {
         images: false,
         times: SampleTimes::KeyFrames,
         color_folder: String::new(),
+        validation_logs: Default::default(),
         prompt: Default::default(),
         captions: Default::default(),
     }

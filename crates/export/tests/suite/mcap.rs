@@ -8,128 +8,23 @@ use foxglove::messages::{
     CameraCalibration, CompressedImage, FrameTransform, FrameTransforms, Log, Quaternion, SceneUpdate,
     Vector3,
 };
-use glam::{DAffine3, DMat3, DMat4, DQuat, DVec3};
-use image::{Rgb, RgbImage};
+use glam::{DAffine3, DMat4, DQuat, DVec3};
 use mcap::{Message, MessageStream, Summary};
 use point_skeleton::conditions::{ConditionOptions, ImageSize, MapKind, MapSet};
-use point_skeleton::dataset::{
-    Class, DatasetError, Frame, ImageRecord, LogFormat, LogLocator, LogOutline, LogReader, Recording,
-    RigCamera, Sweep, SweepPoint, SweepRecord, Track, TrackBox,
-};
-use point_skeleton::geometry::{Camera, Cuboid, Pose};
+use point_skeleton::dataset::{Frame, LogLocator, LogOutline};
 use point_skeleton::raster::RasterizerKind;
 use pskel_export::{Export, ExportOptions, Layout, WorkList, export};
 use serde_json::Value;
 
+use crate::made_log::{CAMERAS, FORMAT, MadeLog, START};
+
 const FRAMES: usize = 3;
-const CAMERAS: [&str; 2] = ["CAM_FRONT", "CAM_BACK"];
 const MAPS: [MapKind; 5] =
     [MapKind::Color, MapKind::Depth, MapKind::Class, MapKind::Instance, MapKind::Boxes];
-const FIRST_US: i64 = 1_600_000_000_123_456;
-/// Far from the origin of coordinates, as in nuPlan.
-const START: DVec3 = DVec3::new(664_430.25, 3_997_650.5, 606.0);
-const NOWHERE: &str = "made";
-
-/// A log in memory: the ego drives along x behind a car, and the cone is gone in the last frame.
-struct NuplanLog(Recording);
-
-impl NuplanLog {
-    fn new() -> Self {
-        let track = |(id, category): (&str, &str)| Track {
-            id: id.to_owned(),
-            category: category.to_owned(),
-            class: Class::from_category(category),
-        };
-        let frames: Vec<Frame> = (0..FRAMES).map(frame).collect();
-        Self(Recording {
-            name: "made.up".into(),
-            location: "nowhere".into(),
-            description: "A car ahead".into(),
-            cameras: CAMERAS.map(|name| name.parse().unwrap()).into(),
-            rig: RigCamera::first_used(&frames),
-            tracks: [("car", "vehicle.car"), ("cone", "movable_object.trafficcone")].map(track).into(),
-            frames,
-            ..Recording::default()
-        })
-    }
-}
-
-fn frame(index: usize) -> Frame {
-    let t_us = FIRST_US + 100_000 * index as i64;
-    let at = |seconds: f64| Pose::from_yaw(0.1 * seconds, START + DVec3::new(8.0, 1.0, 0.0) * seconds);
-    let global_from_ego = at(0.1 * index as f64);
-    let cuboid = |x: f64, y: f64, size: DVec3| {
-        let position = global_from_ego.transform_point(DVec3::new(x, y, 0.5 * size.z));
-        Cuboid::new(Pose::from_yaw(0.3, position), size).unwrap()
-    };
-    let boxes = vec![
-        TrackBox { track: 0, cuboid: cuboid(12.0, 0.0, DVec3::new(4.0, 2.0, 1.6)) },
-        TrackBox { track: 1, cuboid: cuboid(8.0, 4.0, DVec3::new(0.5, 0.5, 1.0)) },
-    ];
-    let image = |channel: usize| {
-        let rows = [[40.0, 0.0, 30.0], [0.0, 40.0, 20.0], [0.0, 0.0, 1.0]];
-        let axes = DMat3::from_cols(DVec3::NEG_Y, DVec3::NEG_Z, DVec3::X);
-        let turn = DQuat::from_rotation_z(std::f64::consts::PI * channel as f64);
-        // The second camera is triggered before the frame.
-        let early_us = 40_000 * channel as i64;
-        ImageRecord {
-            token: format!("{index}{channel}"),
-            channel,
-            path: NOWHERE.into(),
-            t_us: t_us - early_us,
-            global_from_ego: at(0.1 * index as f64 - early_us as f64 * 1e-6),
-            ego_from_camera: Pose { rotation: turn * DQuat::from_mat3(&axes), translation: DVec3::Z * 1.5 },
-            camera: Camera::new(CAMERAS[channel], 60, 40, rows).unwrap(),
-        }
-    };
-    let ego_from_lidar = Pose::from_yaw(0.0, DVec3::Z * 1.8);
-    Frame {
-        t_us,
-        global_from_ego,
-        sweeps: vec![SweepRecord {
-            path: NOWHERE.into(),
-            t_us,
-            global_from_ego,
-            ego_from_lidar,
-            is_key: true,
-        }],
-        images: vec![image(0), image(1)],
-        between_images: Vec::new(),
-        boxes: boxes.into_iter().take(if index + 1 < FRAMES { 2 } else { 1 }).collect(),
-    }
-}
-
-impl LogReader for NuplanLog {
-    fn recording(&self) -> &Recording {
-        &self.0
-    }
-
-    fn read_sweep(&self, _: &SweepRecord) -> Result<Sweep, DatasetError> {
-        let ground = (0..400).map(|i| [(i % 40) as f32 - 20.0, (i / 40) as f32 - 5.0, -1.8]);
-        let point = |position| SweepPoint { position, intensity: 9.0, ring: 7 };
-        Ok(Sweep { points: ground.map(point).collect(), ..Sweep::default() })
-    }
-
-    fn read_image(&self, _: &ImageRecord) -> Result<RgbImage, DatasetError> {
-        Ok(RgbImage::from_fn(60, 40, |x, y| Rgb([4 * x as u8, 6 * y as u8, 90])))
-    }
-}
-
-static FORMAT: LogFormat = LogFormat {
-    name: "made",
-    has_path: false,
-    rates_hz: [10.0, 5.0],
-    detect: |_| false,
-    check: LogFormat::unchecked,
-    expand: |locator| Ok(vec![locator.clone()]),
-    outline: LogFormat::outline_by_opening,
-    open: |_, _| Ok(Box::new(NuplanLog::new())),
-};
-
 /// Exports the log, two frames per shard.
 fn run(folder: &Path, name: &str, layout: Layout, maps: MapSet) {
-    let locator = LogLocator::new(&FORMAT, NOWHERE);
-    let outline = LogOutline { name: NuplanLog::new().0.name, frames: FRAMES };
+    let locator = LogLocator::new(&FORMAT, "made.up");
+    let outline = LogOutline { name: "made.up".into(), frames: FRAMES };
     let list = WorkList::new([(locator, outline)], 2, None).unwrap();
     let out_size = Some(ImageSize { height: 20, width: 30 });
     let options = ExportOptions {
@@ -143,6 +38,7 @@ fn run(folder: &Path, name: &str, layout: Layout, maps: MapSet) {
         images: true,
         times: Default::default(),
         color_folder: String::new(),
+        validation_logs: Default::default(),
         prompt: Default::default(),
         captions: Default::default(),
     };
@@ -152,7 +48,7 @@ fn run(folder: &Path, name: &str, layout: Layout, maps: MapSet) {
         out: &folder.join(name),
         skeletons: &folder.join("skeletons"),
         options: &options,
-        open: &|_| Ok(point_skeleton::Log::new(Box::new(NuplanLog::new()))),
+        open: &|_| Ok(point_skeleton::Log::new(Box::new(MadeLog::new("made.up", FRAMES)))),
         rasterizer: &RasterizerKind::Cpu.into(),
         jobs: 1,
         verify: false,
@@ -192,7 +88,7 @@ fn mcap_matches_the_frames_layout() {
     run(folder, "frames", Layout::Frames, MapSet::of(&MAPS));
     run(folder, "mcap", Layout::Mcap, MapSet::of(&MAPS).with(MapKind::Tensor));
     run(folder, "again", Layout::Mcap, MapSet::of(&MAPS).with(MapKind::Tensor));
-    let log = NuplanLog::new().0;
+    let log = MadeLog::new("made.up", FRAMES).0;
     let mut images = 0;
     for (shard, frames) in [("made_up-000000", 0..2), ("made_up-000002", 2..3)] {
         let bytes = std::fs::read(folder.join(format!("mcap/{shard}.mcap"))).unwrap();

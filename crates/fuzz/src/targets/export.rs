@@ -55,6 +55,7 @@ fn options() -> ExportOptions {
         images: false,
         times: SampleTimes::KeyFrames,
         color_folder: "color".into(),
+        validation_logs: Default::default(),
         prompt: Default::default(),
         captions: Default::default(),
     }

@@ -63,7 +63,8 @@ pub(crate) struct ExportArgs {
     between_images: bool,
     #[command(flatten)]
     rate: RateArgs,
-    /// Also export the recorded images, without lens distortion and at the size of the maps
+    /// Also export the recorded images, without lens distortion and at the size of the maps (always with the
+    /// layouts streetcrafter and freevs)
     #[arg(long)]
     images: bool,
     /// Compare the checksums of existing shards, and write those that differ again
@@ -72,6 +73,10 @@ pub(crate) struct ExportArgs {
     /// Folder of the color maps in the layout pas-cache
     #[arg(long, value_name = "NAME", default_value = "proj_clr")]
     color_folder: FileName,
+    /// Recordings of the validation split in the layout streetcrafter, by their names in shards [default:
+    /// both splits have all recordings]
+    #[arg(long, value_name = "NAME,..", value_delimiter = ',')]
+    validation_logs: Vec<String>,
     /// Captions by name of a recording or token of an image: {"scene-0061": "Parked truck, turn left"}
     #[arg(long, value_name = "F.json")]
     captions: Option<PathBuf>,
@@ -141,6 +146,7 @@ impl ExportArgs {
                 None => SampleTimes::KeyFrames,
             },
             color_folder: self.color_folder.to_string(),
+            validation_logs: self.validation_logs.iter().cloned().collect(),
             prompt: self.prompt.read()?,
             captions: self.captions.as_deref().map(Captions::read).transpose()?.unwrap_or_default(),
         };

@@ -55,7 +55,7 @@ pub(crate) fn run(args: RenderArgs) -> anyhow::Result<()> {
             substitutes: &substitutes,
             log: Some(&log.name),
             distort: args.distort,
-            optional_map: false,
+            ..RenderOptions::default()
         },
     )?;
     let writer = SequenceWriter {

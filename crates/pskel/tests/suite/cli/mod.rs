@@ -4,6 +4,7 @@ pub(super) mod bench;
 pub(super) mod build;
 pub(super) mod build_resume;
 pub(super) mod checksums;
+pub(super) mod clips;
 pub(super) mod copies;
 pub(super) mod distortion;
 pub(super) mod evaluate;
