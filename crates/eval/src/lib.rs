@@ -29,8 +29,8 @@ pub use drift::Drift;
 pub use evaluate::{EvaluateError, EvaluateOptions, Report, SCORES, evaluate};
 #[cfg(feature = "town")]
 pub use fidelity::{
-    CameraRow, FidelityError, FidelityFiles, FidelityFrames, FidelityReport, FidelitySource, MaskRow, Row,
-    Rows, fidelity,
+    CameraRow, FidelityError, FidelityFiles, FidelityFrames, FidelityReport, FidelitySource, MaskBand,
+    MaskRow, Row, Rows, fidelity,
 };
 pub use images::image_quality::{FilledError, compare_filled, psnr_db};
 pub use images::motion::{MOVING_MPS, Motion, MotionSums, MovingFrame, moving_mask};
@@ -40,5 +40,6 @@ pub use images::ssim::ssim;
 pub use networks::{Distance, MetricNetworks, NetworkError, NetworkPaths};
 pub use scores::{RolloutScores, ScoreError, ScoredFrame, Scores, Series, VehicleIou};
 pub use statistics::{MeanInterval, mean_interval, paired_difference};
+pub use vehicles::differences::{MaskDifference, MaskDifferences, MaskPair};
 pub use vehicles::masks::Overlap;
 pub use vehicles::pseudo_label::{MaskRule, VEHICLE_CLASS, vehicle_mask};

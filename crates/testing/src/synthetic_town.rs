@@ -30,6 +30,11 @@ pub fn town() -> &'static Town {
     &TOWN
 }
 
+/// Returns another town.
+pub fn other_town(options: &str) -> Town {
+    Town::new(&options.parse().unwrap()).unwrap()
+}
+
 /// The log written as a nuScenes data set with its map.
 pub struct Written {
     pub files: BTreeMap<String, Vec<u8>>,

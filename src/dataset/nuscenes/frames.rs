@@ -10,6 +10,7 @@ use rustc_hash::{FxHashMap, FxHashSet};
 
 use super::chain::Chain;
 use super::lens::{self, lens};
+use super::retime::retime;
 use super::sensors::{Origin, SensorKind, Sensors, compare_pose};
 use super::tables::{SampleData, Scene, Table};
 use super::version::Version;
@@ -91,7 +92,8 @@ pub(super) fn read(
     let needed: FxHashSet<&str> = data.records.iter().map(|d| d.ego_pose_token.as_str()).collect();
     let poses = rows.poses(needed.into_iter())?;
     let (calibrated, sensors) = (Table::load(&version.folder)?, Table::load(&version.folder)?);
-    let sensors = Sensors { data, poses, calibrated, sensors, distortion };
+    let mut sensors = Sensors { data, poses, calibrated, sensors, distortion };
+    retime(&mut sensors, chain, notes);
     let cameras = sensors.cameras()?;
     let mut piles: Vec<UnsortedFrame> = chain.times_us.iter().map(|_| UnsortedFrame::default()).collect();
     let (mut key_times, mut pose_times) = (KeyTimes::default(), PoseTimes::default());

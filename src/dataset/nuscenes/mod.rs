@@ -14,6 +14,7 @@ mod interpolate;
 mod lens;
 mod map;
 mod read;
+mod retime;
 mod sensors;
 mod subset;
 mod sweep;
@@ -59,10 +60,10 @@ impl NuScenes {
     /// Opens no sweeps, images or maps.
     ///
     /// # Errors
-    /// Fails if tables are missing or damaged, tokens are unresolved, or times do not increase. Fails if file
-    /// names point outside the folder of sweeps and images (unless [`LogLocator::allow_outside`]), or a
-    /// camera name is not a valid folder name. Fails if poses, cameras or boxes are invalid, or if several
-    /// versions or scenes exist and none is selected.
+    /// Fails if tables are missing or damaged, tokens are unresolved, or times do not increase (nor those
+    /// of the ego poses, see `retime`). Fails if file names point outside the folder of sweeps and images
+    /// (unless [`LogLocator::allow_outside`]), or a camera name is not a valid folder name. Fails if poses,
+    /// cameras or boxes are invalid, or if several versions or scenes exist and none is selected.
     pub fn open(locator: &LogLocator) -> Result<Self, DatasetError> {
         Self::of(&Version::open(locator)?, locator)
     }

@@ -13,6 +13,7 @@ use pskel_town::Town;
 use pskel_town::view::GroundTruthView;
 use serde::Serialize;
 
+use super::differences::{DifferenceSums, MaskBand};
 use super::error::FidelityError;
 
 /// Maximum distance of near cars, meters from the ego to the center of the box.
@@ -45,6 +46,7 @@ pub(super) struct Measured {
     depth: DepthErrors,
     /// By selection of actor clouds, in the order of [`Masks::ALL`].
     masks: [MaskSums; 3],
+    differences: DifferenceSums,
 }
 
 /// Selection of the actor clouds that produce the masks.
@@ -86,6 +88,8 @@ pub struct Row {
     pub templates: MaskRow,
     /// Masks of the actors' own points alone.
     pub own_points: MaskRow,
+    /// Where masks of vehicles of rendered maps differ from the true ones.
+    pub differences: Vec<MaskBand>,
 }
 
 /// IoU values; `None` if neither map nor ground truth shows the class.
@@ -139,8 +143,8 @@ impl Masks {
 
 impl Measured {
     pub(super) fn new(pose: Pose) -> Self {
-        let (to_the_left, color, depth, masks) = Default::default();
-        Self { name: pose.name(), pose, to_the_left, color, depth, masks }
+        let (to_the_left, color, depth, masks, differences) = Default::default();
+        Self { name: pose.name(), pose, to_the_left, color, depth, masks, differences }
     }
 
     pub(super) fn summary(self) -> Row {
@@ -154,6 +158,7 @@ impl Measured {
             rendered,
             templates,
             own_points,
+            differences: self.differences.bands(),
         }
     }
 }
@@ -196,11 +201,13 @@ pub(super) fn mean(errors: &[FilledError]) -> FilledError {
 }
 
 /// Ground truth at the size of the maps.
-struct TrueMaps {
-    width: usize,
+pub(super) struct TrueMaps {
+    pub(super) width: usize,
+    /// Width of the maps relative to the rendered ones.
+    pub(super) scale: f64,
     color: Vec<[u8; 3]>,
-    depth_m: Vec<f32>,
-    class: Vec<u8>,
+    pub(super) depth_m: Vec<f32>,
+    pub(super) class: Vec<u8>,
     instance: Vec<u32>,
 }
 
@@ -211,6 +218,7 @@ impl TrueMaps {
         let color: Vec<[u8; 3]> = seen.image.pixels().map(|p| p.0).collect();
         Self {
             width: to.width as usize,
+            scale: f64::from(to.width) / f64::from(from.width),
             color: reduce::bilinear(&color, from, to),
             depth_m: reduce::nearest(&seen.depth_m, from, to),
             class: reduce::nearest(&seen.class, from, to),
@@ -253,6 +261,7 @@ impl Measurement<'_> {
                 if let Some(depth_m) = &map.depth_m {
                     row.depth.add(depth_m, &truth.depth_m);
                 }
+                row.differences.add(map, truth, &self.options.splat);
             }
         }
         Ok(())

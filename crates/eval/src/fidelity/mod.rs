@@ -1,11 +1,13 @@
 //! Compares condition maps with ground truth: all maps of the synthetic town, at and beside the recorded
 //! poses (`measure`), or color maps of a log with its images (`recorded`). `table` formats.
 
+mod differences;
 mod error;
 mod measure;
 mod recorded;
 mod table;
 
+pub use differences::MaskBand;
 pub use error::FidelityError;
 pub use measure::{MaskRow, Row};
 pub use recorded::CameraRow;

@@ -1,10 +1,11 @@
 //! Text formats of the table.
 
+use super::differences::MaskBand;
 use super::measure::{MaskRow, Row};
 use super::recorded::CameraRow;
 use super::{FidelityReport, Rows};
 use crate::table::{aligned, markdown, number};
-use crate::{FilledError, MaskRule};
+use crate::{FilledError, MaskDifference, MaskRule};
 use point_skeleton::files::FileKind;
 
 const POSE_HEADER: [&str; 16] = [
@@ -54,9 +55,10 @@ impl FidelityFiles {
 }
 
 impl FidelityReport {
-    /// Formats the rows with aligned columns.
+    /// Formats the rows with aligned columns; of a town also where masks of vehicles differ.
     pub fn table(&self) -> String {
-        aligned(&self.rows.cells())
+        let differences = self.rows.differences().map(|cells| format!("\n{}", aligned(&cells)));
+        aligned(&self.rows.cells()) + &differences.unwrap_or_default()
     }
 
     /// Formats the rows as CSV.
@@ -64,9 +66,10 @@ impl FidelityReport {
         self.rows.cells().iter().map(|row| row.join(",") + "\n").collect()
     }
 
-    /// Formats the rows as Markdown.
+    /// Formats the rows as Markdown; of a town also where masks of vehicles differ.
     pub fn markdown(&self) -> String {
-        markdown(&self.rows.cells())
+        let differences = self.rows.differences().map(|cells| format!("\n{}", markdown(&cells)));
+        markdown(&self.rows.cells()) + &differences.unwrap_or_default()
     }
 }
 
@@ -80,6 +83,25 @@ impl Rows {
         let header = header.iter().map(|&cell| cell.to_owned()).collect();
         std::iter::once(header).chain(rows).collect()
     }
+}
+
+impl Rows {
+    /// Returns the cells of the differences at the recorded poses: shares of the union of both masks.
+    fn differences(&self) -> Option<Vec<Vec<String>>> {
+        let Self::Poses(rows) = self else { return None };
+        let causes = MaskDifference::ALL.map(|cause| format!("{cause} (%)"));
+        let header = ["masks of vehicles", "depth", "pixels", "IoU"].map(str::to_owned);
+        let header = header.into_iter().chain(causes).collect();
+        Some(std::iter::once(header).chain(rows.first()?.differences.iter().map(band_row)).collect())
+    }
+}
+
+fn band_row(band: &MaskBand) -> Vec<String> {
+    let MaskBand { rule, differences, .. } = band;
+    let percent = |count: u64| number(differences.share(count).map(|share| 100.0 * share), 2);
+    let iou = number(differences.share(differences.both), 3);
+    let cells = [rule.name().to_owned(), band.depth(), differences.either().to_string(), iou];
+    cells.into_iter().chain(differences.causes.map(percent)).collect()
 }
 
 fn defined(value: f64, digits: usize) -> String {

@@ -2,3 +2,4 @@
 #![allow(clippy::unwrap_used)] // helpers outside `#[test]`
 
 mod metrics;
+mod town_masks;

@@ -112,7 +112,13 @@ fn all_commands_accept_a_town() {
     // An actor of some class is in view, and rendered at its position.
     let classes = rows[0]["rendered"]["classes"].as_object().unwrap();
     assert!(classes.values().filter_map(Value::as_f64).any(|iou| iou > 0.3), "{}", rows[0]);
-    assert_eq!(std::fs::read_to_string(log.path("out/f.md")).unwrap().lines().count(), 10);
+    // A table of poses, and one of differences: all depths and four ranges by two rules.
+    let markdown = std::fs::read_to_string(log.path("out/f.md")).unwrap();
+    assert_eq!(
+        markdown.lines().map(str::is_empty).collect::<Vec<_>>().iter().position(|empty| *empty),
+        Some(10)
+    );
+    assert_eq!(markdown.lines().count(), 10 + 1 + 2 + 10);
     assert_eq!(std::fs::read_to_string(log.path("out/f.csv")).unwrap().lines().count(), 9);
     // Recorded images of frames that are not in the skeleton.
     log.succeed("town seed=5,frames=2,size=90x160 --out out/log");
