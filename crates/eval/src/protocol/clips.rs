@@ -269,14 +269,15 @@ mod tests {
             assert_eq!((two.frames, two.steps(), two.clock), (19, 18, ClipClock::Frames(every)));
             let per_frame = steps / 26;
             assert_eq!((long.frames, long.steps(), long.start_us), (100, 99 * per_frame, 1_000_000));
-            // Both logs end after 19.5 s and more, the first 100 frames at 6 Hz after 16.5 s.
-            for (clip, expected) in [(&six, 27), (&two, 19), (&long, 100)] {
-                let (times, hz) = clip.times_us(&log, &EgoPolicy::Replay);
-                assert_eq!((times.len(), times[0], times[expected - 1]), {
-                    (expected, 1_000_000, 1_000_000 + ((expected - 1) as f64 / hz * 1e6).round() as i64)
-                });
+            // Both logs end after 19.5 s and more, the 100 frames at 6 Hz after 16.5 s.
+            for (clip, expected, hz) in [(&six, 27, 6.0), (&two, 19, 2.0), (&long, 100, 6.0)] {
+                let (times, found_hz) = clip.times_us(&log, &EgoPolicy::Replay);
+                assert_eq!((times.len(), times[0]), (expected, 1_000_000));
+                // Times of the log's frames are truncated to microseconds.
+                let last_us = 1_000_000 + ((times.len() - 1) as f64 / hz * 1e6).round() as i64;
+                assert!((times[times.len() - 1] - last_us).abs() <= 1, "{times:?}");
+                assert!((found_hz - hz).abs() < 1e-4 * hz, "{found_hz}");
             }
-            assert_eq!(two.times_us(&log, &EgoPolicy::Replay).1, 2.0);
         }
         // 10 s at the planning rate of the log, 2 Hz.
         let change = clips(Protocol::LaneChange, 1, &log(40, 2)).remove(0);

@@ -192,8 +192,9 @@ mod tests {
 
     const SIZE: ImageSize = ImageSize { height: 48, width: 64 };
 
+    /// Levels are so far apart that the loss of the encoder cannot make one frame look like another.
     fn level(number: usize) -> u8 {
-        40 + 5 * number as u8
+        20 + 9 * number as u8
     }
 
     #[test]
@@ -209,7 +210,7 @@ mod tests {
             assert!(frames.is_before(&path, number) && !frames.is_before(Path::new("w.mp4"), number));
             let image = frames.frame(number).unwrap();
             let off = image.iter().map(|found| found.abs_diff(level(number))).max();
-            assert!(off <= Some(2), "{number}: {off:?}");
+            assert!(off <= Some(4), "{number}: {off:?}");
         }
         assert!(!frames.is_before(&path, 24));
         let error = frames.frame(24).unwrap_err().to_string();
