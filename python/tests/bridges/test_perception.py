@@ -34,7 +34,7 @@ pytestmark = pytest.mark.skipif(PYTHON is None, reason="needs PSKEL_NUSCENES_PYT
 
 
 def run(*command):
-    done = subprocess.run([*map(str, command)], capture_output=True, text=True, timeout=300, check=False)
+    done = subprocess.run([*map(str, command)], capture_output=True, text=True, timeout=600, check=False)
     assert done.returncode == 0, done.stderr
     return done.stdout
 
