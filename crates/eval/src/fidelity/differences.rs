@@ -4,7 +4,7 @@ use point_skeleton::conditions::CameraConditions;
 use point_skeleton::raster::SplatSchedule;
 use serde::Serialize;
 
-use super::measure::TrueMaps;
+use super::truth::TrueMaps;
 use crate::{MaskDifferences, MaskPair, MaskRule, VEHICLE_CLASS, vehicle_mask};
 
 /// Ends of the ranges of depth, meters; the last range has none.

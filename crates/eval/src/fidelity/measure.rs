@@ -4,17 +4,17 @@ use crate::{
     DepthErrors, DepthSummary, FilledError, MaskRule, Overlap, VEHICLE_CLASS, compare_filled, vehicle_mask,
 };
 use glam::{DVec2, DVec3};
-use point_skeleton::conditions::{CameraConditions, ConditionOptions, ImageSize, MapKind, MapSet, reduce};
+use point_skeleton::conditions::{CameraConditions, ConditionOptions, MapKind, MapSet};
 use point_skeleton::dataset::{Area, Class, LogReader, VectorMap};
 use point_skeleton::geometry::View;
 use point_skeleton::scene::{EgoOffset, SceneState, SelectionOptions, state_of_frame};
 use point_skeleton::{MapOptions, Renderer};
 use pskel_town::Town;
-use pskel_town::view::GroundTruthView;
 use serde::Serialize;
 
 use super::differences::{DifferenceSums, MaskBand};
 use super::error::FidelityError;
+use super::truth::TrueMaps;
 
 /// Maximum distance of near cars, meters from the ego to the center of the box.
 const NEAR_M: f64 = 40.0;
@@ -200,33 +200,6 @@ pub(super) fn mean(errors: &[FilledError]) -> FilledError {
     }
 }
 
-/// Ground truth at the size of the maps.
-pub(super) struct TrueMaps {
-    pub(super) width: usize,
-    /// Width of the maps relative to the rendered ones.
-    pub(super) scale: f64,
-    color: Vec<[u8; 3]>,
-    pub(super) depth_m: Vec<f32>,
-    pub(super) class: Vec<u8>,
-    instance: Vec<u32>,
-}
-
-impl TrueMaps {
-    /// Reduces ground truth like the maps.
-    fn new(seen: &GroundTruthView, to: ImageSize) -> Self {
-        let from = ImageSize { height: seen.image.height(), width: seen.image.width() };
-        let color: Vec<[u8; 3]> = seen.image.pixels().map(|p| p.0).collect();
-        Self {
-            width: to.width as usize,
-            scale: f64::from(to.width) / f64::from(from.width),
-            color: reduce::bilinear(&color, from, to),
-            depth_m: reduce::nearest(&seen.depth_m, from, to),
-            class: reduce::nearest(&seen.class, from, to),
-            instance: reduce::nearest(&seen.instance, from, to),
-        }
-    }
-}
-
 impl Measurement<'_> {
     /// Adds a frame's images to a row.
     pub(super) fn add(
@@ -317,6 +290,8 @@ fn is_within(area: &Area, at: DVec2) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use point_skeleton::conditions::ImageSize;
+    use pskel_town::view::GroundTruthView;
 
     fn truth() -> GroundTruthView {
         let (class, instance) = (vec![0, 1, 1, 2, 0, 3, 4, 1], vec![0, 1, 2, 3, 0, 4, 5, 1]);

@@ -6,6 +6,7 @@ mod error;
 mod measure;
 mod recorded;
 mod table;
+mod truth;
 
 pub use differences::MaskBand;
 pub use error::FidelityError;
