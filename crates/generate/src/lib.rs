@@ -40,8 +40,6 @@ pub use generator::session::{AnyDenoiser, Session, SessionError, SessionParts};
 pub use generator::strategy::Strategy;
 pub use generator::window::{Progress, Roll};
 pub use imported::counts::{Counted, ImportCounts};
-#[cfg(feature = "video")]
-pub use imported::export::ExportError;
 pub use imported::export::RolloutImages;
 pub use imported::folder::{ImageFolder, ImageLayout, ImportOptions};
 pub use imported::matching::{ClipFrames, ClipImages};

@@ -38,6 +38,8 @@ pub(super) struct Step {
     /// Time since the first step of the rollout, seconds.
     pub(super) t_s: f64,
     pub(super) folder: PathBuf,
+    /// Rows of the cameras' images that the images show; `None` for all.
+    rows: Option<ImageRows>,
     /// Instance numbers of moving actors.
     moving: Vec<u32>,
 }
@@ -68,7 +70,7 @@ impl GeneratedRollout {
             match images::is_reference(&step.folder)? {
                 None => {}
                 Some(true) => references += 1,
-                Some(false) => steps.push(step),
+                Some(false) => steps.push(Step { rows: images::rows(&step.folder)?, ..step }),
             }
         }
         let Some(first) = steps.first() else {
@@ -143,7 +145,7 @@ impl GeneratedRollout {
         if !self.cameras.first().is_some_and(|camera| path(camera).exists()) {
             return Ok(None);
         }
-        self.reduced(path, images::rows(&step.folder)?, read).map(Some)
+        self.reduced(path, step.rows, read).map(Some)
     }
 
     /// Reads a file per camera, cropped to some rows and reduced to the size of the generated images.
@@ -172,6 +174,7 @@ impl Step {
             frame,
             t_s: (row.t_us - first_us) as f64 / 1e6,
             folder: folder.join(STEPS).join(row.name()),
+            rows: None,
             moving: moving.map(|actor| actor.instance).collect(),
         }
     }

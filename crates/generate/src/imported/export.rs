@@ -5,17 +5,24 @@ use std::path::{Path, PathBuf};
 use point_skeleton::error::FileError;
 use point_skeleton::files::input::{IMAGE_BYTES, read_file};
 use point_skeleton::files::{FileName, json, write_whole};
+#[cfg(feature = "video")]
+use point_skeleton::geometry::ImageSize;
 use pskel_sim::report::images::{self, GENERATED};
-use pskel_sim::report::{ROLLOUT, STATES, STEPS, StateFile};
+use pskel_sim::report::{ROLLOUT, STATES, STEPS, StateFile, StepRow};
+#[cfg(feature = "video")]
+use pskel_sim::report::{Video, VideoError};
 use serde::Deserialize;
 
 /// Generated images of a rollout.
 #[derive(Debug)]
 pub struct RolloutImages {
-    folder: PathBuf,
     cameras: Vec<FileName>,
     /// Folders of the frames; `None` for a frame without images.
     frames: Vec<Option<Frame>>,
+    /// Of messages.
+    #[cfg(feature = "video")]
+    folder: PathBuf,
+    #[cfg(feature = "video")]
     hz: f64,
 }
 
@@ -40,14 +47,21 @@ impl RolloutImages {
     pub fn open(folder: &Path, cameras: Vec<FileName>) -> Result<Self, FileError> {
         let rates: RolloutRates = json::read(&folder.join(ROLLOUT), "rates of a rollout")?;
         let per_frame = (rates.sim_hz / rates.plan_hz).round().max(1.0) as usize;
-        let frame = |row: &pskel_sim::report::StepRow| {
+        let frame = |row: &StepRow| {
             let step = folder.join(STEPS).join(row.name());
             let is_reference = images::is_reference(&step)?;
             Ok(is_reference.map(|is_reference| Frame { step, is_reference }))
         };
         let rows = StateFile::read(&folder.join(STATES))?;
         let frames = rows.iter().step_by(per_frame).map(frame).collect::<Result<Vec<_>, FileError>>()?;
-        Ok(Self { folder: folder.to_owned(), cameras, frames, hz: rates.plan_hz })
+        Ok(Self {
+            cameras,
+            frames,
+            #[cfg(feature = "video")]
+            folder: folder.to_owned(),
+            #[cfg(feature = "video")]
+            hz: rates.plan_hz,
+        })
     }
 
     /// Writes the images after the references, as `CAM/NUMBER.png` below `out` with the number of the frame.
@@ -78,10 +92,7 @@ impl RolloutImages {
     /// # Errors
     /// Fails if a frame has no images, if they cannot be encoded, or if a file cannot be read or written.
     #[cfg(feature = "video")]
-    pub fn write_videos(&self, out: &Path) -> Result<usize, ExportError> {
-        use point_skeleton::geometry::ImageSize;
-        use pskel_sim::report::Video;
-
+    pub fn write_videos(&self, out: &Path) -> Result<usize, VideoError> {
         std::fs::create_dir_all(out).map_err(FileError::io("create", out))?;
         let mut count = 0;
         for camera in &self.cameras {
@@ -104,16 +115,4 @@ impl RolloutImages {
         }
         Ok(count)
     }
-}
-
-/// Error of writing videos.
-#[cfg(feature = "video")]
-#[derive(Debug, thiserror::Error)]
-pub enum ExportError {
-    /// Error of a file.
-    #[error(transparent)]
-    File(#[from] FileError),
-    /// Error of a video.
-    #[error(transparent)]
-    Video(#[from] pskel_sim::report::VideoError),
 }

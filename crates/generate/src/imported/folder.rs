@@ -2,7 +2,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use point_skeleton::error::FileError;
-use point_skeleton::files::FileName;
+use point_skeleton::files::{Checksum, FileName};
 use point_skeleton::geometry::ImageSize;
 use point_skeleton::named;
 use pskel_sim::report::images::ImageRows;
@@ -67,6 +67,8 @@ pub struct ImageFolder {
     by_stem: BTreeMap<String, Vec<usize>>,
     /// Size of all images, which the first one has.
     pub(super) size: Option<ImageSize>,
+    /// Sizes and numbers of frames of the videos of clips.
+    pub(super) videos: BTreeMap<usize, (ImageSize, usize)>,
     /// Whether a file is an image of a clip, whether or not it is used.
     pub(super) known: Vec<bool>,
 }
@@ -95,8 +97,21 @@ impl ImageFolder {
         for (number, file) in files.iter().enumerate() {
             by_stem.entry(file.stem().to_owned()).or_default().push(number);
         }
-        let known = vec![false; files.len()];
-        Ok(Self { root: root.to_owned(), options, files, by_stem, size: None, known })
+        let (root, known) = (root.to_owned(), vec![false; files.len()]);
+        Ok(Self { root, options, files, by_stem, size: None, videos: BTreeMap::new(), known })
+    }
+
+    /// Returns a checksum of the names and lengths of all files: images of another run differ in it.
+    ///
+    /// # Errors
+    /// Fails if a file cannot be read.
+    pub fn checksum(&self) -> Result<Checksum, FileError> {
+        let mut list = String::new();
+        for ListedFile { path, name } in &self.files {
+            let length = path.metadata().map_err(FileError::io("read", path))?.len();
+            list += &format!("{name} {length}\n");
+        }
+        Ok(Checksum::of(list.as_bytes()))
     }
 
     /// Returns the options.

@@ -33,6 +33,19 @@ pub struct ClipFrames<'a> {
     pub follows_log: bool,
     /// Whether the part has no other clip of the log.
     pub is_only: bool,
+    /// Whether no other part is selected, so that numbers of frames need no folder of the part.
+    pub is_only_part: bool,
+}
+
+/// Where the images of a clip are looked up.
+struct Lookup<'a> {
+    clip: &'a ClipFrames<'a>,
+    /// Names of the rig's cameras.
+    cameras: &'a [FileName],
+    /// Index of the camera whose images stand for all.
+    copied: Option<usize>,
+    /// Folder below the root.
+    below: String,
 }
 
 /// Image of a frame and a camera.
@@ -65,11 +78,11 @@ impl ImageFolder {
     pub fn clip(&mut self, clip: &ClipFrames<'_>) -> Result<ClipImages, FileError> {
         let cameras: Vec<FileName> = clip.log.rig.iter().map(|rig| rig.camera.name.clone()).collect();
         let copied = self.copied_camera(&cameras)?;
-        let below = self.folder_of(clip)?;
+        let lookup = Lookup { clip, cameras: &cameras, copied, below: self.folder_of(clip)? };
         let found = match self.options.layout {
-            ImageLayout::Nuscenes => self.by_record(clip, &cameras, copied, &below),
-            ImageLayout::Frames => self.by_number(clip, &cameras, copied, &below),
-            ImageLayout::Video => self.by_video(clip, &cameras, copied, &below)?,
+            ImageLayout::Nuscenes => self.by_record(&lookup),
+            ImageLayout::Frames => self.by_number(&lookup),
+            ImageLayout::Video => self.by_video(&lookup)?,
         };
         let shown: Vec<usize> = copied.map_or_else(|| (0..cameras.len()).collect(), |camera| vec![camera]);
         let mut counts = ImportCounts::default();
@@ -90,8 +103,9 @@ impl ImageFolder {
                     counts.missing.add(|| format!("{}, frame {number}, {name}", clip.name));
                     continue;
                 };
+                let has_size = self.has_size(file, clip.log, name)?;
                 let path = self.files[file].path.clone();
-                match self.has_size(&path, clip.log, name)? {
+                match has_size {
                     true => images.push(FrameImage { path, video_frame }),
                     false => counts.wrong_size.add(|| path.display().to_string()),
                 }
@@ -123,31 +137,32 @@ impl ImageFolder {
     }
 
     /// Returns the folder with the images of a clip: `PART/CLIP`, `PART`, or the folder itself. Off the log,
-    /// names of recorded images tell neither part nor clip.
+    /// names of recorded images tell neither part nor clip. Numbers of frames do not tell the part.
     fn folder_of(&self, clip: &ClipFrames<'_>) -> Result<String, FileError> {
-        let own = format!("{}/{}", clip.part, clip.name);
+        let ClipFrames { part, name, follows_log, is_only_part, .. } = clip;
+        let own = format!("{part}/{name}");
+        let is_numbered = self.options.layout != ImageLayout::Nuscenes;
         if self.has_folder(&own) {
             return Ok(own);
         }
-        if !clip.follows_log && self.options.layout == ImageLayout::Nuscenes {
-            let expected = format!("a folder {own}, since the ego leaves the log");
-            return Err(FileError::content(expected, "none", &self.root));
+        if (is_numbered || *follows_log) && self.has_folder(part) {
+            return Ok((*part).to_owned());
         }
-        let part = clip.part.to_owned();
-        Ok(if self.has_folder(&part) { part } else { String::new() })
+        let expected = match (is_numbered, follows_log) {
+            (true, _) if *is_only_part => return Ok(String::new()),
+            (false, true) => return Ok(String::new()),
+            (true, _) => format!("a folder {part}, since several parts are selected"),
+            (false, false) => format!("a folder {own}, since the ego leaves the log"),
+        };
+        Err(FileError::content(expected, "none", &self.root))
     }
 
     /// Finds images by name, token or time of the recorded ones.
-    fn by_record(
-        &self,
-        clip: &ClipFrames<'_>,
-        cameras: &[FileName],
-        copied: Option<usize>,
-        below: &str,
-    ) -> Found {
+    fn by_record(&self, lookup: &Lookup<'_>) -> Found {
+        let Lookup { clip, cameras, copied, below } = lookup;
         let mut by_time: BTreeMap<(usize, u64), Vec<usize>> = BTreeMap::new();
         for (number, file) in self.files.iter().enumerate().filter(|(_, file)| file.is_below(below)) {
-            let camera = file.camera(below, cameras).or(copied);
+            let camera = file.camera(below, cameras).or(*copied);
             if let (Some(camera), Some(t_us)) = (camera, names::last_number(file.stem())) {
                 by_time.entry((camera, t_us)).or_default().push(number);
             }
@@ -162,7 +177,7 @@ impl ImageFolder {
                 let by_name = keys.iter().flatten().flat_map(|key| self.with_stem(below, key));
                 // Names of images may be the same for all cameras.
                 let of_camera = |file: &usize| {
-                    self.files[*file].camera(below, cameras).or(copied).is_none_or(|found| found == camera)
+                    self.files[*file].camera(below, cameras).or(*copied).is_none_or(|found| found == camera)
                 };
                 let by_name: Vec<usize> = by_name.filter(of_camera).collect();
                 let times = times.into_iter().flatten().filter_map(|t_us| u64::try_from(t_us).ok());
@@ -179,16 +194,10 @@ impl ImageFolder {
     }
 
     /// Finds images by clip, camera and number.
-    fn by_number(
-        &self,
-        clip: &ClipFrames<'_>,
-        cameras: &[FileName],
-        copied: Option<usize>,
-        below: &str,
-    ) -> Found {
+    fn by_number(&self, lookup: &Lookup<'_>) -> Found {
         let mut found = Found::new();
-        for (file, camera, rest) in self.of_clip(clip, cameras, copied, below) {
-            let frame = names::only_number(&rest).and_then(|number| self.frame_of(clip, number));
+        for (file, camera, rest) in self.of_clip(lookup) {
+            let frame = names::only_number(&rest).and_then(|number| self.frame_of(lookup.clip, number));
             if let Some(frame) = frame {
                 found.entry((frame, camera)).or_default().push((file, None));
             }
@@ -197,18 +206,13 @@ impl ImageFolder {
     }
 
     /// Finds videos by clip and camera, and their frames.
-    fn by_video(
-        &self,
-        clip: &ClipFrames<'_>,
-        cameras: &[FileName],
-        copied: Option<usize>,
-        below: &str,
-    ) -> Result<Found, FileError> {
+    fn by_video(&mut self, lookup: &Lookup<'_>) -> Result<Found, FileError> {
         let mut found = Found::new();
-        for (file, camera, _) in self.of_clip(clip, cameras, copied, below) {
-            let (_, count) = video_size(&self.files[file].path)?;
-            for number in 0..count {
-                if let Some(frame) = self.frame_of(clip, number as u64) {
+        for (file, camera, _) in self.of_clip(lookup) {
+            let opened = video_size(&self.files[file].path)?;
+            self.videos.insert(file, opened);
+            for number in 0..opened.1 {
+                if let Some(frame) = self.frame_of(lookup.clip, number as u64) {
                     found.entry((frame, camera)).or_default().push((file, Some(number)));
                 }
             }
@@ -217,13 +221,8 @@ impl ImageFolder {
     }
 
     /// Returns the files of a clip with their camera, and their path without the names of clip and camera.
-    fn of_clip(
-        &self,
-        clip: &ClipFrames<'_>,
-        cameras: &[FileName],
-        copied: Option<usize>,
-        below: &str,
-    ) -> Vec<(usize, usize, String)> {
+    fn of_clip(&self, lookup: &Lookup<'_>) -> Vec<(usize, usize, String)> {
+        let Lookup { clip, cameras, copied, below } = lookup;
         let is_own = |name: &str| name == clip.name || clip.is_only && name == clip.log.name;
         let aliases = self.options.aliases.iter().filter(|(_, name)| is_own(name)).map(|(alias, _)| alias);
         let log = clip.is_only.then_some(clip.log.name.as_str());
@@ -237,7 +236,7 @@ impl ImageFolder {
             if !is_named && own.iter().all(|name| names::find(path, name).is_none()) {
                 return None;
             }
-            let camera = file.camera(below, cameras).or(copied)?;
+            let camera = file.camera(below, cameras).or(*copied)?;
             let rest = own.iter().fold(path.to_owned(), |rest, name| names::without(&rest, name));
             Some((number, camera, names::without(&rest, cameras[camera].as_str())))
         };
@@ -254,10 +253,11 @@ impl ImageFolder {
     }
 
     /// Checks the shape of an image, and returns whether it has the size of the first one.
-    fn has_size(&mut self, path: &Path, log: &Recording, camera: &FileName) -> Result<bool, FileError> {
-        let size = match self.options.layout {
-            ImageLayout::Video => video_size(path)?.0,
-            ImageLayout::Nuscenes | ImageLayout::Frames => {
+    fn has_size(&mut self, file: usize, log: &Recording, camera: &FileName) -> Result<bool, FileError> {
+        let path = &self.files[file].path;
+        let size = match self.videos.get(&file) {
+            Some((size, _)) => *size,
+            None => {
                 let (height, width) = picture_size(path)?;
                 ImageSize { height, width }
             }

@@ -111,26 +111,6 @@ impl GeneratorArgs {
         Err(WrongUsage(format!("expected {needs} with {option}, found none")))
     }
 
-    /// Rejects options that have no effect beside images of another program: all but `--window`.
-    pub(crate) fn check_images(&self) -> Result<(), WrongUsage> {
-        let options = [
-            ("--strategy", self.strategy.is_some()),
-            ("--infer-steps", self.infer_steps.is_some()),
-            ("--guidance", self.guidance.is_some()),
-            ("--guide", self.guide.is_some()),
-            ("--without", !self.without.is_empty()),
-            ("--noise-seed", self.noise_seed.is_some()),
-            ("--sampler", self.sampler.is_some()),
-            ("--recipe", self.recipe.is_some()),
-            ("--captions", self.captions.is_some()),
-            ("--generator-timeout", self.generator_timeout.is_some()),
-        ];
-        let given = options.into_iter().find(|(_, is_given)| *is_given);
-        given.map_or(Ok(()), |(option, _)| {
-            Err(WrongUsage(format!("expected no option of a generator with --images, found {option}")))
-        })
-    }
-
     /// Returns the number of frames in the window of images of another program.
     pub(crate) fn images_window(&self) -> Result<usize, WrongUsage> {
         let window = self.window.unwrap_or(DEFAULT_WINDOW);

@@ -12,13 +12,28 @@ use pskel_sim::report::images::ImageRows;
 use super::names::names;
 use super::numbers::finite;
 
+/// Options of a generator, which have no effect beside images.
+const GENERATOR: [&str; 11] = [
+    "generator",
+    "strategy",
+    "infer_steps",
+    "guidance",
+    "guide",
+    "without",
+    "noise_seed",
+    "sampler",
+    "recipe",
+    "captions",
+    "generator_timeout",
+];
+
 /// Options for images of other programs.
 #[derive(Clone, Debug, Args)]
 #[command(next_help_heading = "Images of other programs")]
 pub(crate) struct ImageArgs {
     /// Score the images in this folder instead of generating images; in folders PART/CLIP or PART, or for
     /// all parts. The first --window - 1 frames of each clip are references and need no images
-    #[arg(long, value_name = "DIR", requires = "image_layout", conflicts_with = "generator")]
+    #[arg(long, value_name = "DIR", requires = "image_layout", conflicts_with_all = GENERATOR)]
     images: Option<PathBuf>,
     /// Names of their files
     #[arg(long, requires = "images", value_parser = names::<ImageLayout>())]
@@ -43,11 +58,6 @@ pub(crate) struct ImageArgs {
 }
 
 impl ImageArgs {
-    /// Returns whether images are given.
-    pub(crate) fn are_given(&self) -> bool {
-        self.images.is_some()
-    }
-
     /// Lists the images; `None` without `--images`.
     pub(crate) fn open(&self) -> Result<Option<ImageFolder>, FileError> {
         let (Some(root), Some(options)) = (&self.images, self.options()?) else { return Ok(None) };
@@ -55,7 +65,7 @@ impl ImageArgs {
     }
 
     /// Returns how images are assigned to frames; `None` without `--images`.
-    pub(crate) fn options(&self) -> Result<Option<ImportOptions>, FileError> {
+    fn options(&self) -> Result<Option<ImportOptions>, FileError> {
         let Some(layout) = self.image_layout else { return Ok(None) };
         let aliases = self
             .image_index

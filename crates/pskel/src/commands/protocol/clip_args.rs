@@ -1,16 +1,15 @@
 //! Options of the protocols that generate clips, and their record in `protocol.json`.
 
-use std::path::Path;
-
 use anyhow::Context;
 use clap::Args;
 use point_skeleton::conditions::write::meta::PromptParts;
 use point_skeleton::conditions::{Captions, ConditionOptions, MapFormat};
 use point_skeleton::dataset::{LogLocator, LogOpener};
-use point_skeleton::files::{Inputs, OutputFolder, write_json};
+use point_skeleton::error::FileError;
+use point_skeleton::files::{Checksum, Inputs, OutputFolder, write_json};
 use point_skeleton::scene::{SelectionOptions, SubstituteOptions};
 use pskel_eval::protocol::{Part, Protocol, check_settings};
-use pskel_generate::{DenoiserRig, ImportOptions};
+use pskel_generate::{DenoiserRig, ImageFolder, ImportOptions};
 use pskel_sim::{ActorPolicy, Rates};
 use serde::Serialize;
 use serde_json::Value;
@@ -78,8 +77,8 @@ struct Settings<'a> {
     actors: &'a str,
     method: &'a str,
     generator: Value,
-    /// Images of another program: folder and options.
-    images: Option<(&'a Path, ImportOptions)>,
+    /// Images of another program: their checksum and options.
+    images: Option<(Checksum, &'a ImportOptions)>,
     maps: ConditionOptions,
     selection: SelectionOptions,
     format: MapFormat,
@@ -150,11 +149,13 @@ impl ClipProtocolArgs {
         logs: &[LogLocator],
         opener: &LogOpener,
         files: &OutputFolder,
+        images: Option<&ImageFolder>,
     ) -> anyhow::Result<usize> {
         let first = logs.first().context("expected a recording, found none")?;
         let log = logs::open_by(first, opener)?;
         let rates = Rates::of(first.format);
-        let images = self.images.folder().zip(self.images.options()?);
+        let images = images.map(|folder| Ok::<_, FileError>((folder.checksum()?, folder.options())));
+        let images = images.transpose()?;
         let (generator, window) = if images.is_some() {
             (Value::Null, self.generator.images_window()?)
         } else {

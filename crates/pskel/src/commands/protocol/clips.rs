@@ -58,9 +58,6 @@ struct Run<'a> {
 pub(super) fn run(protocol: Protocol, args: &ClipProtocolArgs) -> anyhow::Result<()> {
     let start = Instant::now();
     args.generator.check()?;
-    if args.images.are_given() {
-        args.generator.check_images()?;
-    }
     args.maps.check()?;
     let parts = args.parts(protocol)?;
     let opener = Arc::default();
@@ -73,7 +70,8 @@ pub(super) fn run(protocol: Protocol, args: &ClipProtocolArgs) -> anyhow::Result
     let dataset = files.folder("dataset")?;
     let copy = copied.map(|_| DatasetCopy::open(&logs[0], &dataset, None)).transpose()?;
     parts.iter().try_for_each(|part| files.folder(part.name).map(drop))?;
-    let references = args.settle(protocol, &logs, &opener, &files)?;
+    let references =
+        args.settle(protocol, &logs, &opener, &files, images.as_ref().map(|(folder, _)| folder))?;
     let parts = parts.into_iter().map(|part| PartRollouts { part, folders: Vec::new(), frames: 0 }).collect();
     let (copied, names) = Default::default();
     let mut run =
@@ -122,6 +120,7 @@ impl Run<'_> {
         let prompt = &self.args.prompt.read()?;
         let inputs = RolloutInputs { scenario: &scenario, skeleton: &built, prompt, paths };
         let (mut done, mut counts) = (Vec::new(), ImportCounts::default());
+        let is_only_part = self.parts.len() == 1;
         for (place, PartRollouts { part, .. }) in self.parts.iter().enumerate() {
             let clips = part.clips(log, rates, self.references);
             let clips = clips.with_context(|| format!("part {}", part.name))?;
@@ -138,6 +137,7 @@ impl Run<'_> {
                         references: self.references,
                         follows_log: part.ego == EgoPolicy::Replay,
                         is_only,
+                        is_only_part,
                     })
                 });
                 let images = images.transpose()?;

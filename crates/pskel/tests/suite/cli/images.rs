@@ -213,6 +213,11 @@ fn interrupted_imports_end_with_the_same_bytes() {
     }
     let options = "--images images --image-layout frames";
     results(&log, "whole", options);
+    // Images that have changed are those of another run.
+    save(&log, 0, 0, "images/tiny/CAM_FRONT/0000.png");
+    let output = log.run(&format!("{PROTOCOL} --out whole {options}"));
+    assert_failed(&output, 1, &["expected the images of this command, found another: whole/protocol.json"]);
+    std::fs::remove_file(log.path("images/tiny/CAM_FRONT/0000.png")).unwrap();
     let whole = tree(&log.path("whole"));
     results(&log, "out", options);
     // As if the process had ended in the last step.
@@ -241,11 +246,7 @@ fn invalid_images_are_rejected() {
     for (code, args, parts) in [
         (2, "--images log".to_owned(), &["--image-layout"][..]),
         (2, format!("--images log --generator fill {frames}"), &["--generator", "cannot be used with"]),
-        (
-            2,
-            format!("--images log --guidance 2 {frames}"),
-            &["no option of a generator with --images", "--guidance"],
-        ),
+        (2, format!("--images log --guidance 2 {frames}"), &["--guidance", "cannot be used with"]),
         (2, format!("--images log --window 0 {frames}"), &["expected --window of 1 or more, found 0"]),
         (2, format!("--images log --image-rows 5..1/9 {frames}"), &["FIRST..END/HEIGHT", "5..1/9"]),
         (
@@ -264,6 +265,12 @@ fn invalid_images_are_rejected() {
     ] {
         assert_failed(&run(&args), code, parts);
     }
+    // Numbers do not tell the part.
+    save(&log, 1, 0, "numbered/tiny/CAM_FRONT/1.png");
+    let both = protocol.replace("--parts 2hz", "--parts 6hz,2hz");
+    let command = format!("{both} --out bad3 --window 2 --images numbered {frames}");
+    let parts = &["expected a folder 6hz, since several parts are selected, found none: numbered"];
+    assert_failed(&log.run(&command), 1, parts);
     // Off the log, names of recorded images do not tell the clip.
     let command = "protocol lane-change nuscenes:log --skeletons sks --out bad2 --rasterizer cpu --parts \
                    lane_change --window 2 --images log/samples --image-layout nuscenes";
