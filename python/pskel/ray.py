@@ -136,7 +136,7 @@ def _export(
         complete = listing.write_index(folder) if folder.is_dir() else False
         if complete and _remote.is_remote(out):
             system, root = _remote.store(out)
-            lists = sorted(path for path in folder.iterdir() if path.is_file())
+            lists = sorted(path for path in folder.iterdir() if path.is_file() and not path.name.startswith("."))
             for file in sorted(lists, key=lambda path: path.name == "index.json"):  # last
                 system.put_file(str(file), f"{root}/{file.name}")
         total["complete"] = complete and not total["failures"]
