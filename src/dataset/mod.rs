@@ -39,6 +39,8 @@ mod recording;
 mod registry;
 mod summary;
 mod sweeps;
+#[cfg(feature = "tables")]
+mod tables;
 
 pub(crate) use category::CategoryKind;
 pub use category::{Class, layout_rgb};

@@ -6,9 +6,9 @@ use std::path::Path;
 use glam::DVec3;
 
 use super::category;
-use super::feather::Table;
 use super::poses::{POSE, micros, poses};
 use crate::dataset::clock::Unit;
+use crate::dataset::tables::{ArrowFile, Table};
 use crate::dataset::{Class, DatasetError, Track};
 use crate::error::FileError;
 use crate::geometry::{Cuboid, CuboidError, Pose};
@@ -57,7 +57,7 @@ impl Annotations {
     pub(super) fn read(path: &Path) -> Result<Self, DatasetError> {
         const OTHERS: [&str; 6] =
             ["timestamp_ns", "track_uuid", "category", "length_m", "width_m", "height_m"];
-        let table = Table::read_with(path, &[&OTHERS[..], &POSE[..]].concat(), &[POINTS])?;
+        let table = ArrowFile::read(path)?.table(&[&OTHERS[..], &POSE[..]].concat(), &[POINTS])?;
         let (ids, categories) = (table.column("track_uuid")?.texts()?, table.column("category")?.texts()?);
         let mut category_of = BTreeMap::new();
         for (id, category) in ids.iter().zip(&categories) {

@@ -278,7 +278,7 @@ fn record(
     let path = place.sensors.resolve(name).map_err(|error| row.wrong(3, &error.expected, &error.found))?;
     let (ego_from_camera, camera) = (camera.ego_from_camera, camera.camera.clone());
     let token = hex(row.blob(0)?);
-    Ok(Some(ImageRecord { token, channel, path, t_us, global_from_ego, ego_from_camera, camera }))
+    Ok(Some(ImageRecord { token, channel, path, row: None, t_us, global_from_ego, ego_from_camera, camera }))
 }
 
 #[cfg(test)]

@@ -147,6 +147,7 @@ impl Fingerprint {
 
     fn sweep(&mut self, sweep: &SweepRecord, folder: &Path) {
         self.path(&sweep.path, folder);
+        self.row(sweep.row);
         self.number(sweep.t_us.cast_unsigned());
         self.pose(&sweep.global_from_ego);
         self.pose(&sweep.ego_from_lidar);
@@ -157,6 +158,7 @@ impl Fingerprint {
         self.text(&image.token);
         self.number(image.channel as u64);
         self.path(&image.path, folder);
+        self.row(image.row);
         self.number(image.t_us.cast_unsigned());
         self.pose(&image.global_from_ego);
         self.pose(&image.ego_from_camera);
@@ -167,6 +169,12 @@ impl Fingerprint {
     fn path(&mut self, path: &Path, folder: &Path) {
         let parts: Vec<Component<'_>> = path.strip_prefix(folder).unwrap_or(path).components().collect();
         self.all(&parts, |hash, part| hash.bytes(part.as_os_str().as_encoded_bytes()));
+    }
+
+    /// Adds the row of a table.
+    fn row(&mut self, row: Option<u32>) {
+        // Nothing without one: fingerprints of logs without tables remain as they are.
+        row.into_iter().for_each(|row| self.number(row.into()));
     }
 
     fn lane(&mut self, lane: &Lane) {
@@ -203,6 +211,7 @@ mod tests {
             token: name.into(),
             channel: 0,
             path: format!("{root}/images/{name}").into(),
+            row: None,
             t_us: 1,
             global_from_ego: Pose::IDENTITY,
             ego_from_camera: Pose::IDENTITY,
@@ -210,6 +219,7 @@ mod tests {
         };
         let sweep = SweepRecord {
             path: format!("{root}/sweeps/1").into(),
+            row: None,
             t_us: 1,
             global_from_ego: Pose::IDENTITY,
             ego_from_lidar: Pose::IDENTITY,
@@ -258,6 +268,8 @@ mod tests {
             &|log| log.frames[0].sweeps[0].global_from_ego.translation.x += 1e-9,
             &|log| log.frames[0].sweeps[0].is_key = false,
             &|log| log.frames[0].images[0].path = "/data/images/3".into(),
+            &|log| log.frames[0].sweeps[0].row = Some(1),
+            &|log| log.frames[0].images[0].row = Some(1),
             &|log| log.frames[0].images[0].camera.intrinsics.z_axis.y += 1e-9,
             &|log| log.frames[0].images[0].camera.distortion = distortion,
             &|log| log.frames[0].between_images[0].t_us = 2,

@@ -32,6 +32,7 @@ impl Grey {
                 token: "i".into(),
                 channel: 0,
                 path: PathBuf::new(),
+                row: None,
                 t_us,
                 global_from_ego,
                 ego_from_camera: Pose::IDENTITY,

@@ -13,14 +13,14 @@ use arrow_schema::DataType;
 use crate::error::FileError;
 
 /// Column of a table, in batches.
-pub(super) struct Column<'a> {
+pub(in crate::dataset) struct Column<'a> {
     name: String,
     parts: Vec<&'a ArrayRef>,
     path: &'a Path,
 }
 
 impl<'a> Column<'a> {
-    pub(super) fn new(name: String, parts: Vec<&'a ArrayRef>, path: &'a Path) -> Self {
+    pub(in crate::dataset) fn new(name: String, parts: Vec<&'a ArrayRef>, path: &'a Path) -> Self {
         Self { name, parts, path }
     }
 
@@ -28,7 +28,7 @@ impl<'a> Column<'a> {
     ///
     /// # Errors
     /// Fails if values have another type or are null.
-    pub(super) fn numbers(&self) -> Result<Vec<f64>, FileError> {
+    pub(in crate::dataset) fn numbers(&self) -> Result<Vec<f64>, FileError> {
         self.parts()?;
         self.numbers_or_nan()
     }
@@ -37,7 +37,7 @@ impl<'a> Column<'a> {
     ///
     /// # Errors
     /// Fails if values have another type.
-    pub(super) fn numbers_or_nan(&self) -> Result<Vec<f64>, FileError> {
+    pub(in crate::dataset) fn numbers_or_nan(&self) -> Result<Vec<f64>, FileError> {
         let mut values = Vec::new();
         for part in &self.parts {
             let before = values.len();
@@ -56,7 +56,7 @@ impl<'a> Column<'a> {
     ///
     /// # Errors
     /// Fails if values have another type, are null or do not fit into `i64`.
-    pub(super) fn integers(&self) -> Result<Vec<i64>, FileError> {
+    pub(in crate::dataset) fn integers(&self) -> Result<Vec<i64>, FileError> {
         let (mut values, mut too_much) = (Vec::new(), None);
         for part in self.parts()? {
             let narrow = |wide: i128| {
@@ -80,7 +80,7 @@ impl<'a> Column<'a> {
     ///
     /// # Errors
     /// Fails as [`Column::integers`], or if a value is out of range.
-    pub(super) fn counts(&self) -> Result<Vec<u32>, FileError> {
+    pub(in crate::dataset) fn counts(&self) -> Result<Vec<u32>, FileError> {
         let count = |value: i64| {
             let found = || format!("{value} in column {}", self.name);
             u32::try_from(value)
@@ -90,7 +90,7 @@ impl<'a> Column<'a> {
     }
 
     /// Returns whole numbers from 0 to 2³² − 1 of any type; `None` for other values.
-    pub(super) fn known_counts(&self) -> Vec<Option<u32>> {
+    pub(in crate::dataset) fn known_counts(&self) -> Vec<Option<u32>> {
         let mut values = Vec::new();
         for part in &self.parts {
             let mut numbers = Vec::new();
@@ -109,7 +109,7 @@ impl<'a> Column<'a> {
     ///
     /// # Errors
     /// Fails if values have another type or are null.
-    pub(super) fn texts(&self) -> Result<Vec<&'a str>, FileError> {
+    pub(in crate::dataset) fn texts(&self) -> Result<Vec<&'a str>, FileError> {
         let mut values = Vec::new();
         for part in self.parts()? {
             match part.data_type() {
