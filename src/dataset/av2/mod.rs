@@ -9,7 +9,6 @@
 
 mod annotations;
 mod calibration;
-mod category;
 mod choose;
 mod map;
 mod poses;
@@ -19,6 +18,8 @@ mod sweep;
 
 pub use map::read_map_file;
 pub use sweep::read_sweep_file;
+#[cfg(feature = "123d")]
+pub(super) use sweep::{declared_points, read_as as read_sweep_as};
 
 use std::path::PathBuf;
 

@@ -25,7 +25,7 @@ pub fn read_sweep_file(path: &Path) -> Result<Sweep, FileError> {
 ///
 /// # Errors
 /// Fails as [`read_sweep_file`].
-pub(super) fn read_as(path: &Path, meaning: RingMeaning) -> Result<Sweep, FileError> {
+pub(in crate::dataset) fn read_as(path: &Path, meaning: RingMeaning) -> Result<Sweep, FileError> {
     let table = ArrowFile::read(path)?.table(&COORDINATES, &[INTENSITY, RING])?;
     let numbers = |name: &str| table.column(name)?.numbers_or_nan();
     let [x, y, z] = [numbers("x")?, numbers("y")?, numbers("z")?];
@@ -51,7 +51,7 @@ pub(super) fn read_as(path: &Path, meaning: RingMeaning) -> Result<Sweep, FileEr
 ///
 /// # Errors
 /// Fails if the file is missing, is not a Feather file, lacks coordinates, or has no points.
-pub(super) fn declared_points(path: &Path) -> Result<u64, FileError> {
+pub(in crate::dataset) fn declared_points(path: &Path) -> Result<u64, FileError> {
     let file = ArrowFile::read(path)?;
     file.require(&COORDINATES)?;
     match file.rows() {

@@ -140,6 +140,11 @@ impl<'a> Column<'a> {
         Ok(numbers.into_iter().map(|number| number as i64).collect())
     }
 
+    /// The batches.
+    pub(super) fn all(&self) -> &[&'a ArrayRef] {
+        &self.parts
+    }
+
     /// Returns the batches after checking that they contain no nulls.
     fn parts(&self) -> Result<&[&'a ArrayRef], FileError> {
         match self.parts.iter().map(|p| p.null_count()).sum::<usize>() {
@@ -155,14 +160,18 @@ impl<'a> Column<'a> {
         }
     }
 
-    fn wrong_type(&self, expected: &str, found: &DataType) -> FileError {
-        let expected = format!("{expected} in column {}", self.name);
-        FileError::content(expected, format!("type {found}"), self.path)
+    pub(super) fn wrong_type(&self, expected: &str, found: &DataType) -> FileError {
+        self.wrong(expected.to_owned(), format!("type {found}"))
+    }
+
+    /// Creates an error about the column.
+    pub(in crate::dataset) fn wrong(&self, expected: String, found: String) -> FileError {
+        FileError::content(format!("{expected} in column {}", self.name), found, self.path)
     }
 }
 
 /// Appends numbers of any type. Returns `false` for values of other types.
-fn extend_numbers(values: &mut Vec<f64>, part: &dyn Array) -> bool {
+pub(super) fn extend_numbers(values: &mut Vec<f64>, part: &dyn Array) -> bool {
     match part.data_type() {
         DataType::Float16 => extend::<Float16Type, _>(values, part, f64::from),
         DataType::Float32 => extend::<Float32Type, _>(values, part, f64::from),
@@ -173,7 +182,11 @@ fn extend_numbers(values: &mut Vec<f64>, part: &dyn Array) -> bool {
 }
 
 /// Appends integers of any width, converted by `to`. Returns `false` for values of other types.
-fn extend_integers<T>(values: &mut Vec<T>, part: &dyn Array, mut to: impl FnMut(i128) -> T) -> bool {
+pub(super) fn extend_integers<T>(
+    values: &mut Vec<T>,
+    part: &dyn Array,
+    mut to: impl FnMut(i128) -> T,
+) -> bool {
     match part.data_type() {
         DataType::Int8 => extend::<Int8Type, _>(values, part, |v| to(v.into())),
         DataType::Int16 => extend::<Int16Type, _>(values, part, |v| to(v.into())),

@@ -9,6 +9,7 @@
 mod check;
 mod column;
 mod layout;
+mod lists;
 mod metadata;
 
 pub(super) use column::Column;
