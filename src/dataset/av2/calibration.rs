@@ -13,7 +13,7 @@ use crate::dataset::tables::ArrowFile;
 use crate::dataset::{DatasetError, Gap, ImageDistortion, RigCamera};
 use crate::error::FileError;
 use crate::files::first_twice;
-use crate::geometry::{Camera, Distortion};
+use crate::geometry::{Camera, LensModel};
 
 /// The seven ring cameras in ring order, each next to its neighbors. The front stereo pair is excluded.
 pub(super) const RING: [&str; 7] = [
@@ -93,7 +93,7 @@ fn intrinsics(path: &Path, distortion: ImageDistortion) -> Result<Vec<Camera>, D
             let found = format!("{k1} {k2} {k3} of sensor {}", names[row]);
             return Err(FileError::content("finite k1 k2 k3", found, path).into());
         }
-        Ok(Camera { distortion: Distortion::from_opencv([k1, k2, 0.0, 0.0, k3]), ..camera })
+        Ok(Camera { lens: LensModel::from_opencv([k1, k2, 0.0, 0.0, k3]), ..camera })
     };
     let cameras: Vec<Camera> = (0..table.rows()).map(camera).collect::<Result<_, DatasetError>>()?;
     match first_twice(cameras.iter().map(|camera| &camera.name)) {

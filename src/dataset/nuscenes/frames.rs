@@ -21,7 +21,7 @@ use crate::dataset::{DatasetError, Gap, ImageDistortion, ImageRecord, SweepRecor
 use crate::error::FileError;
 use crate::files::input::DataRoot;
 use crate::files::{FileName, first_twice};
-use crate::geometry::{Camera, CameraError, Pose};
+use crate::geometry::{Camera, CameraError, LensModel, Pose};
 
 /// The six cameras in ring order, each next to its neighbors.
 const RING: [&str; 6] =
@@ -262,7 +262,7 @@ impl Sensors {
             };
             DatasetError::Camera { source, record, path }
         })?;
-        Ok(Camera { distortion: lens.distortion, ..camera })
+        Ok(Camera { lens: lens.distortion.map(LensModel::from), ..camera })
     }
 }
 

@@ -7,7 +7,7 @@ use glam::DVec2;
 use twox_hash::XxHash3_64;
 
 use crate::dataset::{Area, Frame, ImageRecord, Lane, Recording, SweepRecord, VectorMap};
-use crate::geometry::{Camera, Pose};
+use crate::geometry::{Camera, LensModel, Pose};
 
 /// Prefix of this version's fingerprints; other versions' cannot be compared with them.
 const MARK: &str = "2-";
@@ -127,8 +127,26 @@ impl Fingerprint {
         self.number(camera.width.into());
         self.number(camera.height.into());
         self.numbers(camera.rows().into_iter().flatten());
-        let coefficients = camera.distortion.map(|distortion| distortion.coefficients());
-        self.all(coefficients.as_slice(), |hash, coefficients| hash.numbers(*coefficients));
+        self.lens(camera.lens);
+    }
+
+    /// Adds a lens; the first number keeps models apart.
+    fn lens(&mut self, lens: Option<LensModel>) {
+        match lens {
+            None => self.number(0),
+            Some(LensModel::BrownConrady(distortion)) => {
+                self.number(1);
+                self.numbers(distortion.coefficients());
+            }
+            Some(LensModel::Mei(mei)) => {
+                self.number(2);
+                self.numbers([mei.xi()].into_iter().chain(mei.radial()));
+            }
+            Some(LensModel::FTheta(f_theta)) => {
+                self.number(3);
+                self.numbers(f_theta.polynomial());
+            }
+        }
     }
 
     fn frame(&mut self, frame: &Frame, folder: &Path) {
@@ -200,7 +218,7 @@ mod tests {
 
     use super::*;
     use crate::dataset::{Class, NavigationRoute, RigCamera, Track, TrackBox, TrafficLight};
-    use crate::geometry::{Cuboid, Distortion};
+    use crate::geometry::{Cuboid, LensModel};
 
     fn log_at(root: &str) -> Recording {
         let track =
@@ -250,7 +268,7 @@ mod tests {
 
     #[test]
     fn every_field_changes_the_fingerprint() {
-        let distortion = Distortion::from_opencv([0.1, 0.0, 0.0, 0.0, 0.0]);
+        let lens = LensModel::from_opencv([0.1, 0.0, 0.0, 0.0, 0.0]);
         let changes: [&dyn Fn(&mut Recording); 25] = [
             &|log| log.description = "b".into(),
             &|log| log.name = "b".into(),
@@ -271,7 +289,7 @@ mod tests {
             &|log| log.frames[0].sweeps[0].row = Some(1),
             &|log| log.frames[0].images[0].row = Some(1),
             &|log| log.frames[0].images[0].camera.intrinsics.z_axis.y += 1e-9,
-            &|log| log.frames[0].images[0].camera.distortion = distortion,
+            &|log| log.frames[0].images[0].camera.lens = lens,
             &|log| log.frames[0].between_images[0].t_us = 2,
             &|log| {
                 let image = log.frames[0].between_images.pop();

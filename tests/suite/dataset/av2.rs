@@ -46,7 +46,7 @@ fn reads_a_synthetic_log() {
             // Interpolated: one fifth of the way from the pose at the frame to the pose 50 ms later.
             assert!((image.global_from_ego.translation - (ego + DVec3::X * 0.1)).length() < 1e-9);
             assert_eq!(dataset.read_image(image).unwrap().dimensions(), (SIZE[1].into(), SIZE[0].into()));
-            assert_eq!(image.camera.distortion, None);
+            assert_eq!(image.camera.lens, None);
         }
         let cloud = dataset.read_sweep(sweep_record).unwrap();
         assert_eq!(dataset.check_sweep(sweep_record).unwrap(), Some(cloud.points.len() as u64));
