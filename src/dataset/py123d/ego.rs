@@ -45,7 +45,8 @@ impl Ego {
         Ok(Self { times_us, poses, rows })
     }
 
-    /// Returns the pose in which a frame's sweep is stored; `None` if there is none for the frame.
+    /// Returns the pose in which the sweep of a frame is stored, which was completed at a time; `None` if there is
+    /// none for the frame.
     ///
     /// A table of many more poses than frames is interpolated: py123d names the pose at or after the frame, and
     /// misses the exact one where times were rounded. In other tables the named pose is that of the sweep,

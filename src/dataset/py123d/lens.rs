@@ -6,7 +6,7 @@ use super::metadata::CameraMetadata;
 use crate::dataset::recording::notes::{Notes, note};
 use crate::dataset::{DatasetError, ImageDistortion};
 use crate::error::FileError;
-use crate::geometry::{Camera, CameraError, Distortion};
+use crate::geometry::{Camera, CameraError, LensModel};
 
 /// Returns the camera of a table; `None` if its model or its intrinsics are not known, which is counted.
 ///
@@ -21,6 +21,8 @@ pub(super) fn camera(
 ) -> Result<Option<Camera>, DatasetError> {
     let camera = match about.camera_model.as_str() {
         "pinhole" => pinhole(name, about, option, path)?,
+        "fisheye_mei" => fisheye(name, about, path)?,
+        "ftheta" => f_theta(name, about, path)?,
         _ => None,
     };
     if camera.is_none() {
@@ -56,7 +58,21 @@ fn pinhole(
         None => [0.0; 5],
     };
     let camera = Camera::new(name, about.width, about.height, rows);
-    Ok(Some(camera.map(|camera| Camera { distortion: Distortion::from_opencv(coefficients), ..camera })))
+    Ok(Some(camera.map(|camera| Camera { lens: LensModel::from_opencv(coefficients), ..camera })))
+}
+
+fn fisheye(name: &str, about: &CameraMetadata, path: &Path) -> Result<Found, FileError> {
+    let (Some(xi), Some(projection)) = (about.mirror_parameter, &about.projection) else { return Ok(None) };
+    let distortion =
+        numbers(about.distortion.as_deref().unwrap_or(&[0.0; 4]), "finite distortion k1 k2 p1 p2", path)?;
+    let projection = numbers(projection, "a finite projection gamma1 gamma2 u0 v0", path)?;
+    Ok(Some(Camera::fisheye_mei(name, about.width, about.height, xi, distortion, projection)))
+}
+
+fn f_theta(name: &str, about: &CameraMetadata, path: &Path) -> Result<Found, FileError> {
+    let Some(intrinsics) = &about.intrinsics else { return Ok(None) };
+    let intrinsics = numbers(intrinsics, "finite intrinsics: cx cy, 6 forward, 6 backward", path)?;
+    Ok(Some(Camera::f_theta(name, about.width, about.height, intrinsics)))
 }
 
 /// Returns `N` finite numbers.

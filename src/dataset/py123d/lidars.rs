@@ -7,10 +7,11 @@ use super::cells::{CellKind, CellTable};
 use super::files::PointFiles;
 use super::metadata::{self, SweepMetadata};
 use super::read::Target;
-use super::sync::check_times;
+use super::sync::{Sync, check_times};
 use crate::dataset::recording::notes::{NO_SWEEP, Notes, note};
 use crate::dataset::tables::ArrowFile;
 use crate::dataset::{DatasetError, Gap, SweepRecord};
+use crate::error::FileError;
 use crate::files::input::DataRoot;
 use crate::geometry::Pose;
 
@@ -19,8 +20,11 @@ pub(super) struct LidarTable {
     pub(super) cells: CellTable,
     /// Ids of merged LiDARs in ascending order; the first one is LiDAR 0 of a sweep.
     pub(super) ids: Vec<u8>,
-    /// Times of the end of sweeps that are placed by it.
+    /// Times of the ego poses in which sweeps are stored.
     times_us: Vec<i64>,
+    /// Whether sweeps are in the ego frame at their end, as in nuScenes; otherwise at their nominal time, which is
+    /// that of the frame.
+    is_placed_by_end: bool,
     /// Identity for stored points, which are in the ego frame.
     ego_from_lidar: Pose,
 }
@@ -40,12 +44,23 @@ impl LidarTable {
         if cells.kind != CellKind::Path {
             ego_from_lidar = Pose::IDENTITY;
         }
-        let at = if files == Some(PointFiles::NuScenes) { "end_timestamp_us" } else { "timestamp_us" };
-        let at = cells.column(at);
+        let is_placed_by_end = files == Some(PointFiles::NuScenes);
+        let at = cells.column(if is_placed_by_end { "end_timestamp_us" } else { "timestamp_us" });
         let times_us = cells.file.table(&[&at], &[])?.column(&at)?.integers()?;
         check_times(&times_us, false, cells.file.path())?;
         let ids = lidars.iter().map(|lidar| lidar.lidar_id).collect();
-        Ok(Self { cells, ids, times_us, ego_from_lidar })
+        Ok(Self { cells, ids, times_us, is_placed_by_end, ego_from_lidar })
+    }
+
+    /// Returns the time of the pose in which the sweep of each row of `sync` is stored, where it may be another than
+    /// that of the row; else `None`.
+    ///
+    /// # Errors
+    /// Fails if `sync` names a row that does not exist.
+    pub(super) fn pose_times(&self, sync: &Sync) -> Result<Vec<Option<i64>>, FileError> {
+        let rows = sync.rows(&self.cells.key, self.cells.file.rows())?;
+        let time = |row: Option<usize>| row.filter(|_| self.is_placed_by_end).map(|row| self.times_us[row]);
+        Ok(rows.into_iter().map(time).collect())
     }
 
     /// Adds the sweeps to the frames.

@@ -46,7 +46,7 @@ pub(super) fn read(locator: &LogLocator) -> Result<Tables, DatasetError> {
     let mut notes = Notes::new();
     let ego = Ego::read(folder, &sync)?;
     let (cameras, lidars) = sensors(locator, &sync, &ego, &mut notes)?;
-    let (rows, mut frames) = frames(&sync, &ego, &mut notes);
+    let (rows, mut frames) = frames(&sync, &ego, &lidars, &mut notes)?;
     let found = boxes::read(folder, &sync, &rows, &mut notes)?;
     let lights = lights::read(folder, &sync, &rows, &mut notes)?;
     frames.iter_mut().zip(found.frames).for_each(|(frame, boxes)| frame.boxes = boxes);
@@ -94,10 +94,20 @@ pub(super) struct Target<'a> {
 }
 
 /// Returns the rows of `sync` with an ego pose, and their frames.
-fn frames(sync: &Sync, ego: &Ego, notes: &mut Notes) -> (Vec<usize>, Vec<Frame>) {
+///
+/// # Errors
+/// Fails if `sync` names a sweep that does not exist.
+fn frames(
+    sync: &Sync,
+    ego: &Ego,
+    lidars: &[LidarTable],
+    notes: &mut Notes,
+) -> Result<(Vec<usize>, Vec<Frame>), FileError> {
     let (mut rows, mut frames) = (Vec::new(), Vec::new());
+    let sweeps_us: Vec<_> = lidars.iter().map(|lidar| lidar.pose_times(sync)).collect::<Result<_, _>>()?;
     for (row, t_us) in sync.times_us.iter().copied().enumerate() {
-        let Some(global_from_ego) = ego.of_frame(row, t_us) else {
+        let sweep_us = sweeps_us.iter().find_map(|times_us| times_us[row]);
+        let Some(global_from_ego) = ego.of_frame(row, sweep_us.unwrap_or(t_us)) else {
             notes.gap(Gap::record(NO_POSE, format!("frame at {t_us}"), &sync.path));
             continue;
         };
@@ -105,7 +115,7 @@ fn frames(sync: &Sync, ego: &Ego, notes: &mut Notes) -> (Vec<usize>, Vec<Frame>)
         rows.push(row);
         frames.push(Frame { t_us, global_from_ego, sweeps, images, between_images, boxes });
     }
-    (rows, frames)
+    Ok((rows, frames))
 }
 
 /// Opens the tables of cameras, in the order around the vehicle, and of LiDARs. Counts tables that are not read.

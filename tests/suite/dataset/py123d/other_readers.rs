@@ -1,0 +1,1 @@
+//! The same recordings through other readers.
