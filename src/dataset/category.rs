@@ -3,7 +3,7 @@
 //! nuScenes names categories by dotted groups (`vehicle.car`), other data sets by single words (`car`,
 //! `other_vehicle`, `Pedestrian`). [`CategoryKind::of`] is the only place that interprets either.
 
-#[cfg(any(feature = "av2", feature = "123d"))]
+#[cfg(feature = "av2")]
 pub(super) mod argoverse;
 mod words;
 

@@ -17,7 +17,7 @@
 
 // Each reader needs only some of the shared helpers.
 #![cfg_attr(
-    not(all(feature = "nuscenes", feature = "nuplan", feature = "av2")),
+    not(all(feature = "nuscenes", feature = "nuplan", feature = "av2", feature = "123d")),
     allow(dead_code, unreachable_pub, unused_imports, reason = "with only some of the readers")
 )]
 
@@ -41,7 +41,7 @@ mod recording;
 mod registry;
 mod summary;
 mod sweeps;
-#[cfg(feature = "tables")]
+#[cfg(feature = "av2")]
 mod tables;
 #[cfg(any(feature = "nuplan", feature = "123d"))]
 mod wkb;
