@@ -75,6 +75,7 @@ pub(super) fn read(locator: &LogLocator) -> Result<Tables, DatasetError> {
         tracks: found.tracks,
         frames,
         lights,
+        rates_hz: rig::rates_hz(&about.dataset),
         reading: locator.reading,
         ..Recording::default()
     };

@@ -1,4 +1,4 @@
-//! Order of cameras around the vehicle. Source: the enum `CameraID` of py123d, version 0.7.0.
+//! Cameras and rates of vehicles. Source: the enum `CameraID` of py123d, version 0.7.0.
 
 /// Cameras clockwise from the front, by kind: pinhole, stereo, downward, fisheye, f-theta.
 const RING: [&str; 23] = [
@@ -30,4 +30,9 @@ const RING: [&str; 23] = [
 /// Returns the key by which cameras are sorted: known ones around the vehicle, then others by name.
 pub(super) fn place(name: &str) -> (usize, &str) {
     (RING.iter().position(|known| *known == name).unwrap_or(RING.len()), name)
+}
+
+/// Returns the simulation and planning steps per second of a data set, if others than those of the format.
+pub(super) fn rates_hz(dataset: &str) -> Option<[f64; 2]> {
+    (dataset == "nuscenes").then_some([12.0, 2.0])
 }

@@ -45,6 +45,8 @@ pub struct Recording {
     pub notes: BTreeMap<String, usize>,
     /// Missing parts, which are also counted in the notes.
     pub gaps: Vec<Gap>,
+    /// Simulation and planning steps per second that suit the log, if others than those of its format.
+    pub rates_hz: Option<[f64; 2]>,
     /// Options with which the log was read.
     pub reading: ReadOptions,
 }
