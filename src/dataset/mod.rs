@@ -17,7 +17,7 @@
 
 // Each reader needs only some of the shared helpers.
 #![cfg_attr(
-    not(all(feature = "nuscenes", feature = "nuplan", feature = "av2")),
+    not(all(feature = "nuscenes", feature = "nuplan", feature = "av2", feature = "123d")),
     allow(dead_code, unreachable_pub, unused_imports, reason = "with only some of the readers")
 )]
 
@@ -34,6 +34,8 @@ pub mod nuplan;
 #[cfg(feature = "nuscenes")]
 pub mod nuscenes;
 mod picture;
+#[cfg(feature = "123d")]
+pub mod py123d;
 mod reading;
 mod recording;
 mod registry;
