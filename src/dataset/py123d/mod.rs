@@ -26,6 +26,8 @@ mod rig;
 mod roots;
 mod sync;
 
+pub use codec::count_points;
+
 use std::path::{Path, PathBuf};
 
 use self::cells::{CellKind, CellTable};

@@ -269,7 +269,7 @@ mod tests {
     #[test]
     fn every_field_changes_the_fingerprint() {
         let lens = LensModel::from_opencv([0.1, 0.0, 0.0, 0.0, 0.0]);
-        let changes: [&dyn Fn(&mut Recording); 25] = [
+        let changes: [&dyn Fn(&mut Recording); 27] = [
             &|log| log.description = "b".into(),
             &|log| log.name = "b".into(),
             &|log| log.location = "b".into(),

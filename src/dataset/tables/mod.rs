@@ -186,7 +186,7 @@ impl Table {
 }
 
 fn no_arrow(found: String, path: &Path) -> FileError {
-    FileError::content("an Arrow IPC (Feather) file", found, path)
+    FileError::content("a Feather (Arrow IPC) file", found, path)
 }
 
 fn missing_column(name: &str, schema: &Schema, path: &Path) -> FileError {

@@ -63,6 +63,11 @@ impl<'a> Column<'a> {
         Self { kind, bytes, stride: kind.bytes() }
     }
 
+    /// Creates a column of numbers that lie `stride` bytes apart, at least their length.
+    pub(super) fn strided(kind: Kind, bytes: &'a [u8], stride: usize) -> Self {
+        Self { kind, bytes, stride }
+    }
+
     /// Returns the numbers.
     pub(super) fn numbers(self) -> impl Iterator<Item = f64> {
         let width = self.kind.bytes();

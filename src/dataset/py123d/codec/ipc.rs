@@ -186,14 +186,13 @@ fn append(points: &mut Points, batch: &RecordBatch) -> Result<(), String> {
         bytes.map_err(|found| format!("a column {} {found}", field.name()))
     };
     let axes = [column(0)?, column(1)?, column(2)?];
-    for (name, (kind, _)) in AXES.iter().zip(&axes) {
-        if *kind != Kind::F32 {
-            return Err(format!("a column {name} of type {kind:?}"));
-        }
+    // Usually f32; py123d keeps the f16 of Argoverse 2.
+    let is_float = |kind: &Kind| matches!(kind, Kind::F16 | Kind::F32 | Kind::F64);
+    if let Some((name, (kind, _))) = AXES.iter().zip(&axes).find(|(_, (kind, _))| !is_float(kind)) {
+        return Err(format!("a column {name} of type {kind:?}"));
     }
-    let [x, y, z] = axes.each_ref().map(|(_, bytes)| bytes.as_chunks::<4>().0);
-    let position = |((x, y), z): ((&[u8; 4], &[u8; 4]), &[u8; 4])| [*x, *y, *z].map(f32::from_le_bytes);
-    points.xyz.extend(x.iter().zip(y).zip(z).map(position));
+    let [x, y, z] = axes.each_ref().map(|(kind, bytes)| Column::new(*kind, bytes).numbers());
+    points.xyz.extend(x.zip(y).zip(z).map(|((x, y), z)| [x, y, z].map(|value| value as f32)));
     for at in AXES.len()..batch.num_columns() {
         let (kind, bytes) = column(at)?;
         points.extend_feature(batch.schema_ref().field(at).name(), &Column::new(kind, &bytes))?;

@@ -6,9 +6,11 @@
 //! the file, and the features that are read (`intensity`, `ids`, `channel`). Other features are named, not
 //! decoded.
 //! - `ipc`: an Arrow IPC stream, uncompressed or with LZ4 or Zstandard; lossless.
+//! - `laz`: a LAS file compressed by LASzip; positions are integers times a step.
 
 mod feature;
 mod ipc;
+mod laz;
 mod message;
 #[cfg(test)]
 mod tests;
@@ -100,6 +102,7 @@ impl Codec {
 pub(in crate::dataset::py123d) fn decode(bytes: &[u8]) -> Result<Points, String> {
     match known(bytes)? {
         Codec::Ipc => ipc::decode(bytes),
+        Codec::Laz => laz::decode(bytes),
         codec => Err(codec.name().to_owned()),
     }
 }
@@ -125,6 +128,7 @@ pub fn count_points(cell: &[u8]) -> Result<u64, String> {
 pub(in crate::dataset::py123d) fn declared_points(bytes: &[u8]) -> Result<u64, String> {
     match known(bytes)? {
         Codec::Ipc => ipc::declared_points(bytes),
+        Codec::Laz => laz::declared_points(bytes),
         codec => Err(codec.name().to_owned()),
     }
 }

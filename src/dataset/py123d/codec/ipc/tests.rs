@@ -2,8 +2,8 @@ use std::sync::Arc;
 
 use arrow_array::types::Int8Type;
 use arrow_array::{
-    ArrayRef, BooleanArray, DictionaryArray, Float32Array, Float64Array, Int64Array, RecordBatch,
-    StringArray, UInt8Array,
+    ArrayRef, BooleanArray, DictionaryArray, Float16Array, Float32Array, Float64Array, Int64Array,
+    RecordBatch, StringArray, UInt8Array,
 };
 use arrow_ipc::CompressionType;
 use arrow_ipc::writer::{IpcWriteOptions, StreamWriter};
@@ -72,6 +72,18 @@ fn features_that_are_not_read_may_have_any_type() {
     assert_eq!(decoded(&stream(&[columns], None)), expected);
 }
 
+/// Values that all three types hold exactly.
+#[test]
+fn positions_of_every_float_type_are_the_same() {
+    let values = [2.5, -1024.0, 0.125];
+    let half: ArrayRef = Arc::new(Float16Array::from_iter_values(values.map(half::f16::from_f32)));
+    let double: ArrayRef = Arc::new(Float64Array::from_iter_values(values.map(f64::from)));
+    for column in [half, double, floats(&values)] {
+        let columns = ["x", "y", "z"].map(|name| (name, column.clone())).to_vec();
+        assert_eq!(decode(&stream(&[columns], None)).unwrap().xyz, values.map(|value| [value; 3]));
+    }
+}
+
 #[test]
 fn other_columns_are_refused() {
     let with = |at: usize, name: &'static str, column: ArrayRef| {
@@ -80,13 +92,13 @@ fn other_columns_are_refused() {
         columns.push((name, column));
         columns
     };
-    let double: ArrayRef = Arc::new(Float64Array::from(vec![2.0]));
+    let whole: ArrayRef = Arc::new(Int64Array::from(vec![2]));
     let empty: ArrayRef = Arc::new(UInt8Array::from(vec![None]));
     let text: ArrayRef = Arc::new(StringArray::from(vec!["2"]));
     let large: ArrayRef = Arc::new(Int64Array::from(vec![256]));
     let cases = [
         (axes(&[2.0])[..2].to_vec(), "no column z"),
-        (with(2, "z", double), "a column z of type F64"),
+        (with(2, "z", whole), "a column z of type I64"),
         (with(2, "z", text.clone()), "a column z of type Utf8"),
         (with(3, "x", floats(&[2.0])), "two columns x"),
         (with(3, "ids", empty), "a column ids with 1 empty values"),
@@ -99,21 +111,19 @@ fn other_columns_are_refused() {
     assert_eq!(decode(&stream(&[], None)), Err("a stream without rows".to_owned()));
 }
 
-/// Cuts a stream at every byte, and sets every byte of its headers to other values: nothing may panic.
+/// Cuts streams at every byte, and changes every byte: nothing may panic.
 #[test]
 fn damaged_streams_are_errors_or_points() {
-    for cell in [&include_bytes!("../cells/ipc")[..], include_bytes!("../cells/ipc_zstd")] {
+    for cell in [&include_bytes!("../cells/ipc_one")[..], include_bytes!("../cells/ipc_zstd")] {
         // 8 bytes are the mark of the end, which may be missing.
         for length in 0..cell.len() - 8 {
             assert!(decode(&cell[..length]).is_err(), "{length}");
         }
         for at in 0..cell.len() {
-            for value in [0, 1, 0x7f, 0x80, 0xff] {
-                let mut cell = cell.to_vec();
-                cell[at] = value;
-                if let Ok(points) = decode(&cell) {
-                    assert_eq!(declared_points(&cell), Ok(points.xyz.len() as u64));
-                }
+            let mut cell = cell.to_vec();
+            cell[at] ^= 0x81;
+            if let Ok(points) = decode(&cell) {
+                assert_eq!(declared_points(&cell), Ok(points.xyz.len() as u64));
             }
         }
     }
