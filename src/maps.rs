@@ -15,7 +15,8 @@ pub struct Maps {
     /// Maps of all cameras.
     pub set: ConditionSet,
     pub(crate) options: Arc<ConditionOptions>,
-    pub(crate) distorted: bool,
+    /// Share of empty pixels per camera, as [`Maps::uncovered`], if maps are distorted.
+    pub(crate) distorted: Option<Vec<f64>>,
 }
 
 impl Maps {
@@ -27,6 +28,13 @@ impl Maps {
     /// Returns the maps of a camera by channel name.
     pub fn camera(&self, name: &str) -> Option<&CameraConditions> {
         self.set.cameras.iter().find(|camera| camera.name == *name)
+    }
+
+    /// Returns, per camera, the share of pixels that are empty because the lens shows more there than a
+    /// pinhole image can ([`uncovered`](crate::conditions::distort::uncovered)). Empty unless the maps have
+    /// the distortion of the lenses.
+    pub fn uncovered(&self) -> &[f64] {
+        self.distorted.as_deref().unwrap_or_default()
     }
 
     /// Writes a PNG per map and `meta.json` (cameras and poses) into a folder, which is created if it does
@@ -60,6 +68,9 @@ impl Maps {
     /// Returns the metadata of the maps; `fps` is the frame rate of the sequence, if any.
     pub fn meta(&self, prompt: &PromptParts, fps: Option<f64>) -> FrameMeta {
         let meta = FrameMeta::new(&self.state, &self.options, prompt, fps);
-        if self.distorted { meta.distorted(&self.state) } else { meta }
+        match &self.distorted {
+            Some(uncovered) => meta.distorted(&self.state, uncovered),
+            None => meta,
+        }
     }
 }

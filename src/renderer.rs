@@ -218,7 +218,7 @@ impl<'a> Renderer<'a> {
             return Err(raster::RasterError::NoFrame.into());
         };
         let set = step.finish(self.rasterizer.as_mut())?;
-        let distorted = pinholes.is_some();
+        let distorted = pinholes.as_ref().map(PinholeStep::uncovered);
         let set = match pinholes {
             Some(pinholes) => pinholes.distort(set),
             None => set,

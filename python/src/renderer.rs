@@ -1,9 +1,10 @@
+use std::ffi::CString;
 use std::sync::{Arc, Mutex, PoisonError};
 
 use point_skeleton::pipeline::Pipeline;
 use point_skeleton::scene::Substitutes;
 use point_skeleton::{Maps, RenderOptions};
-use pyo3::exceptions::{PyRuntimeError, PyValueError};
+use pyo3::exceptions::{PyRuntimeError, PyUserWarning, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyIterator};
 use self_cell::self_cell;
@@ -104,7 +105,7 @@ impl Renderer {
             let render = |renderer: &mut Borrowing<'_>| renderer.render(&scene).map_err(raise);
             self.with(None, render)
         };
-        dictionary(py, detached(py, call)?.0.cameras())
+        arrays(py, &detached(py, call)?.0)
     }
 
     /// Renders the maps of scenes in order. The device renders a scene while Python uses the maps of the
@@ -233,8 +234,20 @@ impl Frames {
         // Another call since then has begun another series, also if no frame is left.
         detached(py, || renderer.with(series, |_| Ok(())))?;
         let maps: Option<((), Maps)> = self.pipeline.next(&mut renderer, begin, finish)?;
-        maps.map(|((), maps)| dictionary(py, maps.cameras())).transpose()
+        maps.map(|((), maps)| arrays(py, &maps)).transpose()
     }
+}
+
+/// Returns the maps as arrays. Warns of lenses that show more than distorted maps do.
+fn arrays<'py>(py: Python<'py>, maps: &Maps) -> PyResult<Bound<'py, PyDict>> {
+    for (camera, share) in maps.cameras().iter().zip(maps.uncovered()).filter(|(_, share)| **share > 0.0) {
+        let (name, percent) = (&camera.name, 100.0 * share);
+        let text = format!(
+            "distort leaves {percent:.1} % of {name} empty: its lens shows more there than a pinhole can"
+        );
+        PyErr::warn(py, &py.get_type::<PyUserWarning>(), &CString::new(text).unwrap_or_default(), 1)?;
+    }
+    dictionary(py, maps.cameras())
 }
 
 fn closed() -> PyErr {

@@ -1,7 +1,9 @@
 use std::sync::Arc;
 
-use glam::DVec3;
+use glam::{DVec2, DVec3};
+use numpy::ndarray::{Array2, ArrayViewD};
 use numpy::{PyArray2, PyArray3};
+use point_skeleton::conditions::ImageSize;
 use point_skeleton::dataset::Class;
 use point_skeleton::files::FileName;
 use point_skeleton::geometry::{Cuboid, Pose, View};
@@ -13,7 +15,7 @@ use pyo3::prelude::*;
 use crate::error::invalid;
 use crate::maps::arrays::{Numbers, Size, intrinsics, matrix, pose, rows, shaped, stack};
 
-/// Camera of a scene, mounted on the ego: a pinhole.
+/// Camera of a scene, mounted on the ego: a pinhole, or with a lens by `fisheye_mei` and `f_theta`.
 ///
 /// `intrinsics` `[3, 3]` in pixels, `size` (height, width) in pixels, `ego_from_camera` `[4, 4]` in meters
 /// (camera axes: x right, y down, z forward). Raises `ValueError` for singular intrinsics, focal lengths that
@@ -37,15 +39,75 @@ impl Camera {
         Ok(Self { camera, ego_from_camera: pose("ego_from_camera", &ego_from_camera)? })
     }
 
+    /// Creates a fisheye camera in the model of Mei: `mirror_parameter`, `distortion` (k1, k2, p1, p2; the
+    /// last two are not used), `projection` (gamma1, gamma2, u0, v0) in pixels. Raises `ValueError` for
+    /// invalid numbers.
+    #[staticmethod]
+    fn fisheye_mei(
+        name: &str,
+        mirror_parameter: f64,
+        distortion: [f64; 4],
+        projection: [f64; 4],
+        size: Size,
+        ego_from_camera: Numbers<'_>,
+    ) -> PyResult<Self> {
+        let Size(ImageSize { height, width }) = size;
+        let camera =
+            geometry::Camera::fisheye_mei(name, width, height, mirror_parameter, distortion, projection);
+        Ok(Self {
+            camera: camera.map_err(invalid)?,
+            ego_from_camera: pose("ego_from_camera", &ego_from_camera)?,
+        })
+    }
+
+    /// Creates a camera in the f-theta model: `calibration` is the principal point (cx, cy), 6 coefficients
+    /// of the radius in pixels by the angle in radians, and 6 of the inverse, which are not used. Raises
+    /// `ValueError` for invalid numbers.
+    #[staticmethod]
+    fn f_theta(
+        name: &str,
+        calibration: [f64; 14],
+        size: Size,
+        ego_from_camera: Numbers<'_>,
+    ) -> PyResult<Self> {
+        let Size(ImageSize { height, width }) = size;
+        let camera = geometry::Camera::f_theta(name, width, height, calibration).map_err(invalid)?;
+        Ok(Self { camera, ego_from_camera: pose("ego_from_camera", &ego_from_camera)? })
+    }
+
     /// Name.
     #[getter]
     fn name(&self) -> String {
         self.camera.name.to_string()
     }
 
+    /// Returns where the recorded image shows points `[N, 3]` in the camera's frame: pixels `[N, 2]`, NaN
+    /// where the lens does not show them. Pixels may be outside the image.
+    fn project<'py>(&self, py: Python<'py>, points: Numbers<'_>) -> PyResult<Bound<'py, PyArray2<f64>>> {
+        let (points, projection) = (shaped("points", &points, &[0, 3])?, self.camera.projection());
+        let pixel = |p: ArrayViewD<'_, f64>| projection.pixel(DVec3::new(p[0], p[1], p[2]));
+        let pixels = points.outer_iter().map(|p| pixel(p).unwrap_or(DVec2::NAN).to_array()).collect();
+        Ok(table(py, pixels))
+    }
+
+    /// Returns the rays that pixels `[N, 2]` of the recorded image show: unit vectors `[N, 3]` in the
+    /// camera's frame, NaN where the lens shows nothing.
+    fn unproject<'py>(&self, py: Python<'py>, pixels: Numbers<'_>) -> PyResult<Bound<'py, PyArray2<f64>>> {
+        let (pixels, projection) = (shaped("pixels", &pixels, &[0, 2])?, self.camera.projection());
+        let ray = |p: ArrayViewD<'_, f64>| projection.ray(DVec2::new(p[0], p[1]));
+        let rays =
+            pixels.outer_iter().map(|p| ray(p).map_or(DVec3::NAN, DVec3::normalize).to_array()).collect();
+        Ok(table(py, rays))
+    }
+
     fn __repr__(&self) -> String {
         format!("Camera({:?}, {}x{})", self.name(), self.camera.height, self.camera.width)
     }
+}
+
+/// Returns an array of rows.
+fn table<const N: usize>(py: Python<'_>, rows: Vec<[f64; N]>) -> Bound<'_, PyArray2<f64>> {
+    PyArray2::from_owned_array(py, Array2::from(rows))
 }
 
 /// Actor of a scene: a box, with the points of its track in the skeleton or a template.
@@ -198,6 +260,20 @@ impl Scene {
     #[getter]
     fn cameras(&self) -> Vec<String> {
         self.inner.cameras.iter().map(|camera| camera.view.camera.name.to_string()).collect()
+    }
+
+    /// Returns a camera with its lens, for the pixels of its recorded images. Raises `KeyError` for a name
+    /// that is not in the scene.
+    fn camera(&self, name: &str) -> PyResult<Camera> {
+        let found = self.inner.cameras.iter().find(|camera| *camera.view.camera.name == *name);
+        let SceneCamera { view, ego_from_camera, global_from_ego } = found
+            .ok_or_else(|| PyKeyError::new_err(format!("expected the name of a camera, found {name:?}")))?;
+        let mounted = || {
+            let ego_from_camera = global_from_ego.inverse().affine() * view.camera_from_world.inverse();
+            let (_, rotation, translation) = ego_from_camera.to_scale_rotation_translation();
+            Pose { rotation: rotation.normalize(), translation }
+        };
+        Ok(Camera { camera: view.camera.clone(), ego_from_camera: ego_from_camera.unwrap_or_else(mounted) })
     }
 
     /// Image sizes of the cameras (height, width), pixels.

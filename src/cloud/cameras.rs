@@ -93,6 +93,10 @@ pub fn read(path: &Path) -> Result<Vec<View>, CamerasError> {
 /// # Errors
 /// Fails if the file cannot be written.
 pub fn write(path: &Path, views: &[View]) -> Result<(), FileError> {
+    if let Some((view, lens)) = views.iter().find_map(|view| Some((view, view.camera.lens.as_ref()?))) {
+        let found = format!("a {} lens of {}", lens.name(), view.camera.name);
+        return Err(FileError::content("pinhole cameras", found, path));
+    }
     let cameras = views.iter().map(|view| RawCamera {
         name: view.camera.name.to_string(),
         width: view.camera.width,

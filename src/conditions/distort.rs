@@ -5,16 +5,19 @@
 //! enlarged, at the same focal length, until it covers everything that the lens shows. Every pixel of the
 //! distorted map then takes the pinhole pixel that its center's ray hits. This is nearest sampling for all
 //! maps, because a mean of depths or of instance numbers is meaningless. Reductions follow.
+//!
+//! A wide lens (MEI, f-theta) may show more than any pinhole image can. Its pixels beyond the largest pinhole
+//! image remain empty; [`uncovered`] returns their share.
 
 use std::sync::Arc;
 
-use glam::DVec2;
+use glam::{DVec2, DVec3};
 use rayon::prelude::*;
 
 use super::{
     CameraConditions, ConditionError, ConditionOptions, ConditionSet, ImageSize, MapKind, MapSet, reduce,
 };
-use crate::geometry::{Camera, CameraProjection, View};
+use crate::geometry::{Camera, CameraProjection, Lens, View};
 use crate::memory::{Need, reserve};
 use crate::scene::SceneState;
 
@@ -100,6 +103,11 @@ impl Distorter {
 }
 
 impl PinholeStep {
+    /// Returns [`uncovered`] of each camera.
+    pub fn uncovered(&self) -> Vec<f64> {
+        self.warps.iter().map(|warp| warp.uncovered).collect()
+    }
+
     /// Distorts and reduces the maps rendered from [`PinholeStep::state`].
     pub fn distort(&self, set: ConditionSet) -> ConditionSet {
         let camera = |(camera, warp): (CameraConditions, &Arc<Warp>)| {
@@ -122,6 +130,31 @@ struct Warp {
     /// For each pixel of the distorted image, the index of the pinhole pixel; `None` if the images are the
     /// same.
     sources: Option<Vec<u32>>,
+    /// See [`uncovered`].
+    uncovered: f64,
+}
+
+/// Part of the pinhole's image plane, in pixels of the camera's image.
+#[derive(Clone, Copy, Debug)]
+struct Cover {
+    low: DVec2,
+    high: DVec2,
+}
+
+/// Returns the share of a camera's pixels that show a ray beyond the largest pinhole image: they remain empty
+/// in distorted maps. 0 for pinholes, and for Brown–Conrady lenses, which are refused instead.
+pub fn uncovered(camera: &Camera) -> f64 {
+    if !camera.lens.is_some_and(|lens| lens.prepared().is_wide()) {
+        return 0.0;
+    }
+    let projection = camera.projection();
+    let largest = Cover::largest(camera);
+    let pixels = camera.width * camera.height;
+    let is_uncovered = |pixel: &u32| {
+        let ray = projection.ray(center(camera, *pixel));
+        ray.is_some_and(|ray| pinhole_pixel(camera, ray).is_none_or(|at| !largest.contains(at)))
+    };
+    (0..pixels).into_par_iter().filter(is_uncovered).count() as f64 / f64::from(pixels)
 }
 
 /// Entry of [`Warp::sources`] for a pixel that no ray reaches.
@@ -131,16 +164,18 @@ impl Warp {
     fn new(camera: &Camera) -> Result<Self, ConditionError> {
         let size = ImageSize::of(camera);
         if camera.lens.is_none() {
-            return Ok(Self { pinhole: camera.clone(), size, sources: None });
+            return Ok(Self { pinhole: camera.clone(), size, sources: None, uncovered: 0.0 });
         }
-        let rays = rays(camera, &camera.projection());
-        let (mut low, mut high) = (DVec2::ZERO, DVec2::new(f64::from(size.width), f64::from(size.height)));
-        for pixel in rays.iter().flatten() {
-            (low, high) = (low.min(pixel.floor()), high.max(pixel.floor() + 1.0));
+        let projection = camera.projection();
+        let mut rays = rays(camera, &projection);
+        if projection.lens().is_some_and(Lens::is_wide) {
+            let largest = Cover::largest(camera);
+            rays.par_iter_mut().for_each(|ray| *ray = ray.filter(|pixel| largest.contains(*pixel)));
         }
-        let sides = high - low;
-        let most = |side: u32| f64::from((side * MAX_GROWTH).min(Camera::MAX_SIDE));
-        if sides.x > most(size.width) || sides.y > most(size.height) {
+        let cover = Cover::of(size, &rays);
+        let (low, sides) = (cover.low, cover.high - cover.low);
+        let most = most(size);
+        if sides.x > most.x || sides.y > most.y {
             let (camera, growth) = (camera.name.to_string(), MAX_GROWTH);
             return Err(ConditionError::Lens { camera, size, height: sides.y, width: sides.x, growth });
         }
@@ -153,7 +188,7 @@ impl Warp {
             at.y as u32 * width + at.x as u32
         };
         let sources = Some(rays.iter().map(source).collect());
-        Ok(Self { pinhole, size, sources })
+        Ok(Self { pinhole, size, sources, uncovered: uncovered(camera) })
     }
 
     fn resample(&self, maps: CameraConditions, to: ImageSize) -> CameraConditions {
@@ -190,11 +225,47 @@ impl Warp {
 /// Returns, for the center of every pixel in row-major order, where a pinhole camera of the same intrinsics
 /// sees the point that the lens shows; `None` if the lens shows nothing there.
 fn rays(camera: &Camera, projection: &CameraProjection) -> Vec<Option<DVec2>> {
-    let ray = |pixel: u32| {
-        let (row, column) = (pixel / camera.width, pixel % camera.width);
-        let center = DVec2::new(f64::from(column) + 0.5, f64::from(row) + 0.5);
-        let ray = projection.ray(center).filter(|ray| ray.z > 0.0)?;
-        Some((camera.intrinsics * (ray / ray.z)).truncate())
-    };
+    let ray = |pixel: u32| pinhole_pixel(camera, projection.ray(center(camera, pixel))?);
     (0..camera.width * camera.height).into_par_iter().map(ray).collect()
+}
+
+/// Returns where a pinhole camera of the same intrinsics sees a ray; `None` beside and behind the camera.
+fn pinhole_pixel(camera: &Camera, ray: DVec3) -> Option<DVec2> {
+    (ray.z > 0.0).then(|| (camera.intrinsics * (ray / ray.z)).truncate())
+}
+
+/// Returns the center of a pixel, numbered in row-major order.
+fn center(camera: &Camera, pixel: u32) -> DVec2 {
+    let (row, column) = (pixel / camera.width, pixel % camera.width);
+    DVec2::new(f64::from(column) + 0.5, f64::from(row) + 0.5)
+}
+
+/// Returns the sides of the largest pinhole image for an image, pixels.
+fn most(size: ImageSize) -> DVec2 {
+    let side = |side: u32| f64::from((side * MAX_GROWTH).min(Camera::MAX_SIDE));
+    DVec2::new(side(size.width), side(size.height))
+}
+
+impl Cover {
+    /// Returns the part that covers an image and pinhole pixels.
+    fn of(size: ImageSize, pixels: &[Option<DVec2>]) -> Self {
+        let image =
+            Self { low: DVec2::ZERO, high: DVec2::new(f64::from(size.width), f64::from(size.height)) };
+        pixels.iter().flatten().fold(image, |cover, pixel| Self {
+            low: cover.low.min(pixel.floor()),
+            high: cover.high.max(pixel.floor() + 1.0),
+        })
+    }
+
+    /// Returns the largest part that a pinhole image covers, around the middle of the camera's image.
+    fn largest(camera: &Camera) -> Self {
+        let size = ImageSize::of(camera);
+        let image = DVec2::new(f64::from(size.width), f64::from(size.height));
+        let low = -((most(size) - image) / 2.0).floor();
+        Self { low, high: low + most(size) }
+    }
+
+    fn contains(&self, pixel: DVec2) -> bool {
+        pixel.cmpge(self.low).all() && pixel.cmplt(self.high).all()
+    }
 }

@@ -7,6 +7,7 @@ mod conditions;
 mod dataset;
 mod distortion;
 mod examples;
+mod lenses;
 mod peer_lines;
 mod raster;
 mod rates;

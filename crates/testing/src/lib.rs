@@ -21,5 +21,6 @@ pub mod stubborn_peer;
 #[cfg(feature = "town")]
 pub mod synthetic_town;
 pub mod tiny_log;
+pub mod warped_log;
 #[cfg(feature = "sim")]
 pub mod winding_road;

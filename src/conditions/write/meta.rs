@@ -14,6 +14,7 @@ use crate::error::FileError;
 use crate::files::FileName;
 use crate::files::json;
 use crate::files::write_json;
+use crate::geometry::LensModel;
 use crate::scene::{SceneCamera, SceneState};
 
 /// Row-major 4×4 matrix.
@@ -79,6 +80,9 @@ pub struct CameraMeta {
     /// OpenCV coefficients k1, k2, p1, p2, k3 if the maps are distorted by the lens.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub distortion: Option<[f64; 5]>,
+    /// Lens of another model if the maps are distorted by it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub lens: Option<LensMeta>,
     /// Extrinsics; null for a camera that is not mounted on an ego.
     pub ego_from_camera: Option<Matrix>,
     /// Ego pose at the camera's timestamp.
@@ -87,6 +91,52 @@ pub struct CameraMeta {
     pub camera_from_global: Matrix,
     /// Indices of the left neighbor, of the camera itself, and of the right neighbor.
     pub neighbours: [usize; 3],
+}
+
+/// Lens of a [`CameraMeta`]. It maps rays to a plane, in units of the focal length near the axis; the
+/// intrinsics map the plane to pixels.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct LensMeta {
+    /// Model with its numbers.
+    #[serde(flatten)]
+    pub model: LensNumbers,
+    /// Share of the pixels that are empty because the lens shows more there than a pinhole image can.
+    pub uncovered: f64,
+}
+
+/// Model of a [`LensMeta`].
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[serde(tag = "model", rename_all = "snake_case")]
+pub enum LensNumbers {
+    /// See [`Mei`](crate::geometry::Mei).
+    Mei {
+        /// Mirror parameter.
+        xi: f64,
+        /// Radial distortion.
+        k1: f64,
+        /// Radial distortion.
+        k2: f64,
+    },
+    /// See [`FTheta`](crate::geometry::FTheta).
+    FTheta {
+        /// Coefficients of the radius by angle (radians), from the constant.
+        polynomial: [f64; 6],
+    },
+}
+
+impl LensNumbers {
+    /// Returns the numbers of a lens; `None` for a Brown–Conrady lens, which [`CameraMeta::distortion`]
+    /// describes.
+    pub fn new(lens: &LensModel) -> Option<Self> {
+        match lens {
+            LensModel::BrownConrady(_) => None,
+            LensModel::Mei(mei) => {
+                let [k1, k2] = mei.radial();
+                Some(Self::Mei { xi: mei.xi(), k1, k2 })
+            }
+            LensModel::FTheta(f_theta) => Some(Self::FTheta { polynomial: f_theta.polynomial() }),
+        }
+    }
 }
 
 impl FrameMeta {
@@ -106,6 +156,7 @@ impl FrameMeta {
                 width,
                 intrinsics: camera.view.camera.resized(height, width).rows(),
                 distortion: None,
+                lens: None,
                 ego_from_camera: camera.ego_from_camera.map(|pose| rows(&pose.affine())),
                 global_from_ego: rows(&camera.global_from_ego.affine()),
                 camera_from_global: rows(&camera.view.camera_from_world),
@@ -121,11 +172,13 @@ impl FrameMeta {
         }
     }
 
-    /// Records the lens distortion of the cameras, for a step whose maps were distorted.
-    pub fn distorted(mut self, state: &SceneState) -> Self {
-        for (meta, camera) in self.cameras.iter_mut().zip(&state.cameras) {
-            meta.distortion =
-                camera.view.camera.lens.and_then(|lens| lens.distortion()).map(|d| d.coefficients());
+    /// Records the lenses of the cameras, for a step whose maps were distorted; `uncovered` are the shares of
+    /// empty pixels per camera.
+    pub fn distorted(mut self, state: &SceneState, uncovered: &[f64]) -> Self {
+        for ((meta, camera), uncovered) in self.cameras.iter_mut().zip(&state.cameras).zip(uncovered) {
+            let Some(lens) = &camera.view.camera.lens else { continue };
+            meta.distortion = lens.distortion().map(|distortion| distortion.coefficients());
+            meta.lens = LensNumbers::new(lens).map(|model| LensMeta { model, uncovered: *uncovered });
         }
         self
     }
@@ -297,7 +350,7 @@ mod tests {
         assert!(meta["cameras"][0].get("distortion").is_none());
         let mut bent = state();
         bent.cameras[1].view.camera.lens = LensModel::from_opencv([0.1, 0.2, 0.3, 0.4, 0.5]);
-        let bent = FrameMeta::new(&bent, &options, &prompt, None).distorted(&bent);
+        let bent = FrameMeta::new(&bent, &options, &prompt, None).distorted(&bent, &[0.0; 6]);
         let distortion = bent.cameras.iter().map(|c| c.distortion).collect::<Vec<_>>();
         assert_eq!(distortion[..3], [None, Some([0.1, 0.2, 0.3, 0.4, 0.5]), None]);
         let bare = FrameMeta::new(&state(), &options, &PromptParts::default(), None);

@@ -100,11 +100,11 @@ fn write_files(
 fn refuse_distortion(log: &Recording, root: &Path) -> Result<(), FileError> {
     let images = log.frames.iter().flat_map(|f| f.images.iter().chain(&f.between_images));
     let mut cameras = log.rig.iter().map(|c| &c.camera).chain(images.map(|image| &image.camera));
-    match cameras.find(|camera| camera.lens.is_some()) {
+    match cameras.find_map(|camera| Some((camera, camera.lens.as_ref()?))) {
         None => Ok(()),
-        Some(camera) => Err(FileError::content(
+        Some((camera, lens)) => Err(FileError::content(
             "cameras without lens distortion",
-            format!("one of {}", camera.name),
+            format!("one of {} ({})", camera.name, lens.name()),
             root,
         )),
     }
@@ -395,7 +395,8 @@ mod tests {
         };
         let message = write(-0.1).unwrap_err();
         assert!(
-            message.starts_with("expected cameras without lens distortion, found one of CAM_A"),
+            message
+                .starts_with("expected cameras without lens distortion, found one of CAM_A (Brown-Conrady)"),
             "{message}"
         );
         assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);

@@ -54,8 +54,8 @@ impl FTheta {
         let distance = across.length();
         let angle = distance.atan2(ray.z);
         let shown = angle <= self.limit && ray.is_finite() && ray != DVec3::ZERO;
-        // A ray along the axis has no direction in the image.
-        let direction = if distance > 0.0 { across / distance } else { DVec2::ZERO };
+        // A ray along the axis has no direction in the image; with a constant it takes that of atan2(0, 0).
+        let direction = if distance > 0.0 { across / distance } else { DVec2::X };
         shown.then(|| direction * self.radius(angle).0)
     }
 

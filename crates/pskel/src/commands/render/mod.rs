@@ -9,8 +9,10 @@ use std::time::Instant;
 
 use anyhow::Context;
 use point_skeleton::cloud;
+use point_skeleton::conditions::distort::uncovered;
 use point_skeleton::conditions::write::meta::IndexFrame;
 use point_skeleton::files::OutputFolder;
+use point_skeleton::geometry::Camera;
 use point_skeleton::raster::Rasterizer;
 use point_skeleton::scene::{SceneSequence, SequenceError, frame_rate_hz};
 use point_skeleton::sequence::SequenceWriter;
@@ -30,6 +32,9 @@ pub(crate) fn run(args: RenderArgs) -> anyhow::Result<()> {
     }
     if args.distort && log.rig.iter().all(|rig| rig.camera.lens.is_none()) {
         warn(&format!("--distort has no effect: log {} has no lens distortion", log.shown_name()));
+    }
+    if args.distort {
+        warn_of_uncovered(log.rig.iter().map(|rig| &rig.camera));
     }
     let skeleton = args.source.open_skeleton(log)?;
     let views = args.cameras.as_deref().map(cloud::cameras::read).transpose()?;
@@ -78,6 +83,19 @@ pub(crate) fn run(args: RenderArgs) -> anyhow::Result<()> {
         args.folder.out.display()
     ));
     Ok(())
+}
+
+/// Warns of lenses that show more than distorted maps do.
+fn warn_of_uncovered<'a>(cameras: impl Iterator<Item = &'a Camera>) {
+    for camera in cameras {
+        let share = uncovered(camera);
+        if share > 0.0 {
+            let (name, percent) = (&camera.name, 100.0 * share);
+            warn(&format!(
+                "--distort leaves {percent:.1} % of {name} empty: its lens shows more there than a pinhole can"
+            ));
+        }
+    }
 }
 
 /// Converts invalid options into [`WrongUsage`], which has its own exit code.
