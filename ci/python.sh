@@ -19,14 +19,15 @@ devkit=('numpy<2' shapely geopandas 'SQLAlchemy==1.4.27' pyquaternion scipy open
     joblib pillow matplotlib rasterio aioboto3 requests)
 # So does the development kit of nuScenes.
 nuscenes=('nuscenes-devkit==1.2.0')
-# So does py123d, which writes logs. It is installed without its dependencies, and with those that its writers import.
-py123d=(numpy pyarrow pandas scipy shapely trimesh networkx pyquaternion opencv-python-headless DracoPy laspy cachetools tqdm
+# So does py123d, which writes logs. It has twice as many dependencies as its writers import: these are installed alone.
+py123d=(py123d==0.7.0)
+imported=(numpy pyarrow pandas scipy shapely trimesh networkx pyquaternion opencv-python-headless DracoPy laspy cachetools tqdm
     psutil pillow typing-extensions ray)
 
 scratch=$(mktemp -d)
 trap 'rm -rf "$scratch"' EXIT
 folder=$(realpath -m "${CARGO_TARGET_DIR:-target}/python")
-stamp=$(python3 --version; printf '%s\n' "${packages[@]}" "${torch[@]}" "${optional[@]}" "${devkit[@]}" "${nuscenes[@]}" "${py123d[@]}")
+stamp=$(python3 --version; printf '%s\n' "${packages[@]}" "${torch[@]}" "${optional[@]}" "${devkit[@]}" "${nuscenes[@]}" "${py123d[@]}" "${imported[@]}")
 install() { "$folder/$1/bin/pip" install --quiet --disable-pip-version-check "${@:2}"; }
 
 if [ "$(cat "$folder/installed" 2>/dev/null)" != "$stamp" ]; then
@@ -46,7 +47,7 @@ if [ "$(cat "$folder/installed" 2>/dev/null)" != "$stamp" ]; then
     python3 -m venv "$folder/nuscenes"
     install nuscenes "${nuscenes[@]}" || rm -rf "$folder/nuscenes"
     python3 -m venv "$folder/py123d"
-    { install py123d "${py123d[@]}" && install py123d --no-deps py123d==0.7.0; } || rm -rf "$folder/py123d"
+    { install py123d "${imported[@]}" && install py123d --no-deps "${py123d[@]}"; } || rm -rf "$folder/py123d"
     [ -z "$complete" ] || printf '%s\n' "$stamp" >"$folder/installed" # else the next run tries again
 fi
 
