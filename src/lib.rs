@@ -33,6 +33,7 @@
 //! | `nuscenes` | reader of the nuScenes layout |
 //! | `nuplan` | reader of nuPlan logs (SQLite) |
 //! | `av2` | reader of Argoverse 2 sensor logs (Feather) |
+//! | `123d` | reader of logs of py123d (Arrow), with `nuscenes` and `av2` for the files that they may name |
 //! | `exr` | maps as OpenEXR files |
 
 pub mod cloud;

@@ -14,16 +14,16 @@ from pskel._planner import Message, PlannerError
 #: Time between frames, seconds, and number of frames that an agent sees.
 FRAME_S = 0.5
 FRAMES = 4
-#: Cameras, each with those of nuPlan, and of nuScenes and the town, that it stands for.
+#: Cameras, each with those of nuPlan, of nuScenes and the town, and of 123D, that it stands for.
 CAMERAS = {
-    "cam_f0": ("CAM_F0", "CAM_FRONT"),
-    "cam_l0": ("CAM_L0", "CAM_FRONT_LEFT"),
-    "cam_l1": ("CAM_L1",),
-    "cam_l2": ("CAM_L2", "CAM_BACK_LEFT"),
-    "cam_r0": ("CAM_R0", "CAM_FRONT_RIGHT"),
-    "cam_r1": ("CAM_R1",),
-    "cam_r2": ("CAM_R2", "CAM_BACK_RIGHT"),
-    "cam_b0": ("CAM_B0", "CAM_BACK"),
+    "cam_f0": ("CAM_F0", "CAM_FRONT", "PCAM_F0"),
+    "cam_l0": ("CAM_L0", "CAM_FRONT_LEFT", "PCAM_L0"),
+    "cam_l1": ("CAM_L1", "PCAM_L1"),
+    "cam_l2": ("CAM_L2", "CAM_BACK_LEFT", "PCAM_L2"),
+    "cam_r0": ("CAM_R0", "CAM_FRONT_RIGHT", "PCAM_R0"),
+    "cam_r1": ("CAM_R1", "PCAM_R1"),
+    "cam_r2": ("CAM_R2", "CAM_BACK_RIGHT", "PCAM_R2"),
+    "cam_b0": ("CAM_B0", "CAM_BACK", "PCAM_B0"),
 }
 #: Commands, in the order of NAVSIM's one-hot vector.
 COMMANDS = ("left", "straight", "right", "unknown")

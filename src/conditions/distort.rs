@@ -14,7 +14,7 @@ use rayon::prelude::*;
 use super::{
     CameraConditions, ConditionError, ConditionOptions, ConditionSet, ImageSize, MapKind, MapSet, reduce,
 };
-use crate::geometry::{Camera, Lens, View};
+use crate::geometry::{Camera, CameraProjection, View};
 use crate::memory::{Need, reserve};
 use crate::scene::SceneState;
 
@@ -130,10 +130,10 @@ const NO_SOURCE: u32 = u32::MAX;
 impl Warp {
     fn new(camera: &Camera) -> Result<Self, ConditionError> {
         let size = ImageSize::of(camera);
-        let Some(distortion) = camera.distortion else {
+        if camera.lens.is_none() {
             return Ok(Self { pinhole: camera.clone(), size, sources: None });
-        };
-        let rays = rays(camera, &distortion.lens());
+        }
+        let rays = rays(camera, &camera.projection());
         let (mut low, mut high) = (DVec2::ZERO, DVec2::new(f64::from(size.width), f64::from(size.height)));
         for pixel in rays.iter().flatten() {
             (low, high) = (low.min(pixel.floor()), high.max(pixel.floor() + 1.0));
@@ -145,7 +145,7 @@ impl Warp {
             return Err(ConditionError::Lens { camera, size, height: sides.y, width: sides.x, growth });
         }
         let width = sides.x as u32;
-        let mut pinhole = Camera { width, height: sides.y as u32, distortion: None, ..camera.clone() };
+        let mut pinhole = Camera { width, height: sides.y as u32, lens: None, ..camera.clone() };
         pinhole.intrinsics.z_axis -= low.extend(0.0);
         let source = |ray: &Option<DVec2>| {
             let Some(pixel) = ray else { return NO_SOURCE };
@@ -189,14 +189,12 @@ impl Warp {
 
 /// Returns, for the center of every pixel in row-major order, where a pinhole camera of the same intrinsics
 /// sees the point that the lens shows; `None` if the lens shows nothing there.
-fn rays(camera: &Camera, lens: &Lens) -> Vec<Option<DVec2>> {
-    let camera_from_image = camera.intrinsics.inverse();
+fn rays(camera: &Camera, projection: &CameraProjection) -> Vec<Option<DVec2>> {
     let ray = |pixel: u32| {
         let (row, column) = (pixel / camera.width, pixel % camera.width);
         let center = DVec2::new(f64::from(column) + 0.5, f64::from(row) + 0.5);
-        let seen = (camera_from_image * center.extend(1.0)).truncate();
-        let ideal = lens.undistort(seen)?;
-        Some((camera.intrinsics * ideal.extend(1.0)).truncate())
+        let ray = projection.ray(center).filter(|ray| ray.z > 0.0)?;
+        Some((camera.intrinsics * (ray / ray.z)).truncate())
     };
     (0..camera.width * camera.height).into_par_iter().map(ray).collect()
 }

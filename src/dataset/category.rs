@@ -3,6 +3,8 @@
 //! nuScenes names categories by dotted groups (`vehicle.car`), other data sets by single words (`car`,
 //! `other_vehicle`, `Pedestrian`). [`CategoryKind::of`] is the only place that interprets either.
 
+#[cfg(feature = "av2")]
+pub(super) mod argoverse;
 mod words;
 
 use serde::{Deserialize, Serialize};

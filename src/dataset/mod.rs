@@ -17,7 +17,7 @@
 
 // Each reader needs only some of the shared helpers.
 #![cfg_attr(
-    not(all(feature = "nuscenes", feature = "nuplan", feature = "av2")),
+    not(all(feature = "nuscenes", feature = "nuplan", feature = "av2", feature = "123d")),
     allow(dead_code, unreachable_pub, unused_imports, reason = "with only some of the readers")
 )]
 
@@ -34,11 +34,17 @@ pub mod nuplan;
 #[cfg(feature = "nuscenes")]
 pub mod nuscenes;
 mod picture;
+#[cfg(feature = "123d")]
+pub mod py123d;
 mod reading;
 mod recording;
 mod registry;
 mod summary;
 mod sweeps;
+#[cfg(feature = "av2")]
+mod tables;
+#[cfg(any(feature = "nuplan", feature = "123d"))]
+mod wkb;
 
 pub(crate) use category::CategoryKind;
 pub use category::{Class, layout_rgb};
@@ -97,13 +103,7 @@ pub trait LogReader: Send + Sync {
     /// # Errors
     /// Fails as [`LogReader::read_image`], except for errors in the pixel data.
     fn check_image(&self, record: &ImageRecord) -> Result<(), DatasetError> {
-        let camera = &record.camera;
-        let (height, width) = picture_size(&record.path)?;
-        if (height, width) == (camera.height, camera.width) {
-            return Ok(());
-        }
-        let expected = format!("an image of {}x{} pixels", camera.height, camera.width);
-        Err(FileError::content(expected, format!("{height}x{width}"), &record.path).into())
+        Ok(check_size(picture_size(&record.path)?, record)?)
     }
 
     /// Returns the number of LiDAR points per frame and box, in the log's order, as stated by the dataset;
@@ -124,6 +124,16 @@ pub trait LogReader: Send + Sync {
     fn view_renderer(&self) -> Option<&dyn ViewRenderer> {
         None
     }
+}
+
+/// Checks the height and width of an image against its camera.
+fn check_size((height, width): (u32, u32), record: &ImageRecord) -> Result<(), FileError> {
+    let camera = &record.camera;
+    if (height, width) == (camera.height, camera.width) {
+        return Ok(());
+    }
+    let expected = format!("an image of {}x{} pixels", camera.height, camera.width);
+    Err(FileError::content(expected, format!("{height}x{width}"), &record.path))
 }
 
 /// Renders ground-truth images of a synthetic log from any pose.

@@ -17,9 +17,21 @@ const IMAGE: &str = "a JPEG or PNG image";
 /// # Errors
 /// Fails if the file is missing, cannot be decoded, has another size, or is cut off.
 pub fn read_picture(path: &Path, height: u32, width: u32) -> Result<RgbImage, FileError> {
-    let bytes = read_file(path, IMAGE_BYTES)?;
-    let undecodable = |error| undecodable(error, &bytes, IMAGE, path);
-    let reader = ImageReader::new(Cursor::new(&bytes)).with_guessed_format();
+    decode_picture(&read_file(path, IMAGE_BYTES)?, height, width, path)
+}
+
+/// Decodes a JPEG or PNG image as [`read_picture`]; `path` is for messages.
+///
+/// # Errors
+/// Fails as [`read_picture`].
+pub(super) fn decode_picture(
+    bytes: &[u8],
+    height: u32,
+    width: u32,
+    path: &Path,
+) -> Result<RgbImage, FileError> {
+    let undecodable = |error| undecodable(error, bytes, IMAGE, path);
+    let reader = ImageReader::new(Cursor::new(bytes)).with_guessed_format();
     let reader = reader.map_err(FileError::io("read", path))?;
     let decoder = reader.into_decoder().map_err(undecodable)?;
     let (found_width, found_height) = decoder.dimensions();
@@ -28,14 +40,14 @@ pub fn read_picture(path: &Path, height: u32, width: u32) -> Result<RgbImage, Fi
         return Err(FileError::content(format!("an image of {height}x{width} pixels"), found, path));
     }
     let bytes_needed =
-        decoded_bytes(decoder.total_bytes(), decoder.color_type(), is_jpeg(&bytes), height, width);
+        decoded_bytes(decoder.total_bytes(), decoder.color_type(), is_jpeg(bytes), height, width);
     let _pixels = reserve(bytes_needed, || Need {
         what: format!("an image of {height}x{width} pixels"),
         bytes: bytes_needed,
         advice: "RAYON_NUM_THREADS=1 decodes one image at a time",
     })
     .map_err(|error| FileError::io("decode", path)(error.into()))?;
-    check_end(&bytes, path)?;
+    check_end(bytes, path)?;
     DynamicImage::from_decoder(decoder).map(DynamicImage::into_rgb8).map_err(undecodable)
 }
 
@@ -106,12 +118,19 @@ fn has_jpeg_end(bytes: &[u8]) -> bool {
 /// Fails if the file is missing, has no JPEG or PNG header, or is cut off.
 pub fn picture_size(path: &Path) -> Result<(u32, u32), FileError> {
     // The JPEG decoder reads the whole file even for its header.
-    let bytes = read_file(path, IMAGE_BYTES)?;
-    let reader = ImageReader::new(Cursor::new(&bytes));
+    encoded_size(&read_file(path, IMAGE_BYTES)?, path)
+}
+
+/// Returns the size from the header of a JPEG or PNG image as [`picture_size`]; `path` is for messages.
+///
+/// # Errors
+/// Fails as [`picture_size`].
+pub(super) fn encoded_size(bytes: &[u8], path: &Path) -> Result<(u32, u32), FileError> {
+    let reader = ImageReader::new(Cursor::new(bytes));
     let reader = reader.with_guessed_format().map_err(FileError::io("read", path))?;
     let size = reader.into_dimensions();
-    let (width, height) = size.map_err(|error| undecodable(error, &bytes, IMAGE, path))?;
-    check_end(&bytes, path)?;
+    let (width, height) = size.map_err(|error| undecodable(error, bytes, IMAGE, path))?;
+    check_end(bytes, path)?;
     Ok((height, width))
 }
 

@@ -222,7 +222,7 @@ fn images(dataset: &dyn LogReader) -> Vec<String> {
     let log = dataset.recording();
     let mut seen = BTreeSet::new();
     let all = log.frames.iter().flat_map(|f| f.images.iter().chain(&f.between_images));
-    let records: Vec<&ImageRecord> = all.filter(|record| seen.insert(&record.path)).collect();
+    let records: Vec<&ImageRecord> = all.filter(|record| seen.insert(record.source())).collect();
     let check = |record: &&ImageRecord| dataset.check_image(record).err().map(|error| error.to_string());
     records.par_iter().filter_map(check).collect()
 }

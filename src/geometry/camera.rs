@@ -1,9 +1,9 @@
 use glam::{DAffine3, DMat3, DVec2, DVec3};
 
-use super::Distortion;
+use super::{CameraProjection, FTheta, LensModel, Mei};
 use crate::files::{FileName, NameError};
 
-/// Camera model: image size, intrinsics, and lens distortion of recorded images.
+/// Camera model: image size, intrinsics, and lens of recorded images.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Camera {
     /// Channel name, for instance `CAM_FRONT`; maps of the camera are written into a folder of this name.
@@ -13,10 +13,10 @@ pub struct Camera {
     /// Pixels.
     pub height: u32,
     /// 3×3 matrix `image_from_camera` in pixels, last row `0 0 1`; pixel `(i, j)` covers `[i, i+1) × [j,
-    /// j+1)`.
+    /// j+1)`. With a lens, it is the matrix of the pinhole that agrees with the lens near the axis.
     pub intrinsics: DMat3,
-    /// Lens distortion of recorded images; `None` for a pinhole. Maps are rendered with the pinhole model.
-    pub distortion: Option<Distortion>,
+    /// Lens of recorded images; `None` for a pinhole. Maps are rendered with the pinhole model.
+    pub lens: Option<LensModel>,
 }
 
 /// Camera at a pose: the target of a rasterizer.
@@ -63,6 +63,22 @@ pub enum CameraError {
         /// Square pixels.
         determinant: f64,
     },
+    /// The mirror parameter of a MEI lens is negative.
+    #[error("expected a mirror parameter of 0 or more, found {0:?}")]
+    MirrorParameter(f64),
+    /// The forward polynomial of an f-theta lens does not grow from about 0 at the axis.
+    #[error(
+        "expected an f-theta polynomial that begins with up to {max} pixels and grows, found the coefficients \
+            {constant_px:?} and {focal_px:?}"
+    )]
+    FTheta {
+        /// Pixels.
+        constant_px: f64,
+        /// Pixels per radian.
+        focal_px: f64,
+        /// [`FTheta::MAX_CONSTANT_PX`].
+        max: f64,
+    },
 }
 
 impl Camera {
@@ -100,7 +116,55 @@ impl Camera {
         if !(is_focal(fx) && is_focal(fy) && determinant.is_finite() && determinant.abs() > 1e-9) {
             return Err(CameraError::Singular { fx, fy, determinant });
         }
-        Ok(Self { name, width, height, intrinsics, distortion: None })
+        Ok(Self { name, width, height, intrinsics, lens: None })
+    }
+
+    /// Creates a fisheye camera in the model of [`Mei`] from the calibration's numbers: mirror parameter,
+    /// distortion `k1 k2 p1 p2` (`p1` and `p2` are not used), and projection `gamma1 gamma2 u0 v0` in pixels.
+    ///
+    /// # Errors
+    /// Returns a [`CameraError`] if the name or a number is invalid.
+    pub fn fisheye_mei(
+        name: impl AsRef<str>,
+        width: u32,
+        height: u32,
+        xi: f64,
+        distortion: [f64; 4],
+        [gamma1, gamma2, u0, v0]: [f64; 4],
+    ) -> Result<Self, CameraError> {
+        let [k1, k2, p1, p2] = distortion;
+        if let Some(&value) = [p1, p2].iter().find(|value| !value.is_finite()) {
+            return Err(CameraError::NotFinite(value));
+        }
+        let lens = Mei::new(xi, [k1, k2])?;
+        let [fx, fy] = [gamma1, gamma2].map(|gamma| gamma / (1.0 + xi));
+        let rows = [[fx, 0.0, u0], [0.0, fy, v0], [0.0, 0.0, 1.0]];
+        Ok(Self { lens: Some(LensModel::Mei(lens)), ..Self::new(name, width, height, rows)? })
+    }
+
+    /// Creates a camera in the model of [`FTheta`] from the calibration's numbers, in pixels: principal point
+    /// `cx cy`, 6 coefficients of the forward polynomial (radius by angle), 6 of the backward one (not used).
+    ///
+    /// # Errors
+    /// Returns a [`CameraError`] if the name or a number is invalid.
+    pub fn f_theta(
+        name: impl AsRef<str>,
+        width: u32,
+        height: u32,
+        calibration: [f64; 14],
+    ) -> Result<Self, CameraError> {
+        let [cx, cy, c0, c1, c2, c3, c4, c5, backward @ ..] = calibration;
+        if let Some(&value) = backward.iter().find(|value| !value.is_finite()) {
+            return Err(CameraError::NotFinite(value));
+        }
+        let lens = FTheta::new([c0, c1, c2, c3, c4, c5])?;
+        let rows = [[c1, 0.0, cx], [0.0, c1, cy], [0.0, 0.0, 1.0]];
+        Ok(Self { lens: Some(LensModel::FTheta(lens)), ..Self::new(name, width, height, rows)? })
+    }
+
+    /// Returns the mapping between rays and pixels of recorded images, prepared for many.
+    pub fn projection(&self) -> CameraProjection {
+        CameraProjection::new(self)
     }
 
     /// Returns the intrinsics in row-major order.
@@ -120,7 +184,7 @@ impl Camera {
             width,
             height,
             intrinsics: DMat3::from_diagonal(scale) * self.intrinsics,
-            distortion: self.distortion,
+            lens: self.lens,
         }
     }
 }
@@ -145,15 +209,17 @@ impl View {
         (q.z > 1e-5).then(|| (DVec2::new(q.x, q.y) / q.z, q.z))
     }
 
-    /// Projects a world point into recorded images, including the lens distortion. Returns `None` as
-    /// [`View::project`], and also outside the valid radius of the lens.
+    /// Projects a world point into recorded images, by the camera's lens. Returns pixel coordinates and camera
+    /// depth in meters. Returns `None` where the lens does not show the point, and for a depth of at most
+    /// 10⁻⁵ m unless the lens is wide.
     pub fn project_recorded(&self, world: DVec3) -> Option<(DVec2, f64)> {
-        let Some(distortion) = self.camera.distortion else { return self.project(world) };
+        let Some(lens) = self.camera.lens else { return self.project(world) };
         let p = self.camera_from_world.transform_point3(world);
-        if p.z <= 1e-5 {
+        let lens = lens.prepared();
+        if p.z <= 1e-5 && !lens.is_wide() {
             return None;
         }
-        let seen = distortion.distort(p.truncate() / p.z)?;
+        let seen = lens.project(p)?;
         Some(((self.camera.intrinsics * seen.extend(1.0)).truncate(), p.z))
     }
 }

@@ -6,18 +6,18 @@
 
 mod camera;
 mod cuboid;
-mod distortion;
 mod extent;
 mod footprint;
+mod lens;
 mod polyline;
 mod pose;
 mod size;
 
 pub use camera::{Camera, CameraError, View};
 pub use cuboid::{Cuboid, CuboidError};
-pub use distortion::{Distortion, Lens};
 pub use extent::{MAX_COORDINATE_M, MAX_SIDE_M, MIN_SIDE_M, is_position, is_size};
 pub use footprint::Footprint;
+pub use lens::{BrownConradyLens, CameraProjection, Distortion, FTheta, Lens, LensModel, Mei};
 pub use polyline::{LineProjection, Polyline, wrap_angle};
 pub use pose::{Pose, PoseError};
 pub use size::{ImageSize, ParseOptionError};

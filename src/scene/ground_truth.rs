@@ -91,14 +91,14 @@ fn logged(reader: &dyn LogReader, camera: &str, t_us: i64) -> Result<RgbImage, G
 /// Resamples an image to a pinhole camera of the same size and intrinsics, like the conditions. Interpolates
 /// bilinearly between pixel centers; pixels outside the recorded image are black.
 fn rectified(image: RgbImage, camera: &Camera) -> RgbImage {
-    let Some(distortion) = camera.distortion else { return image };
-    let (lens, image_from_camera) = (distortion.lens(), camera.intrinsics);
-    let camera_from_image = image_from_camera.inverse();
+    if camera.lens.is_none() {
+        return image;
+    }
+    let (projection, camera_from_image) = (camera.projection(), camera.intrinsics.inverse());
     let ends = DVec2::new(f64::from(image.width()) - 1.0, f64::from(image.height()) - 1.0);
     let pixel = |x: u32, y: u32| {
         let ideal = camera_from_image * DVec3::new(f64::from(x) + 0.5, f64::from(y) + 0.5, 1.0);
-        let seen = image_from_camera * lens.distort(ideal.truncate())?.extend(1.0);
-        let seen = seen.truncate() - 0.5;
+        let seen = projection.pixel(ideal)? - 0.5;
         let shown = seen.cmpge(DVec2::splat(-0.5)).all() && seen.cmplt(ends + 0.5).all();
         let seen = seen.clamp(DVec2::ZERO, ends);
         interpolate_bilinear(&image, seen.x as f32, seen.y as f32).filter(|_| shown)
@@ -109,7 +109,7 @@ fn rectified(image: RgbImage, camera: &Camera) -> RgbImage {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::geometry::{Distortion, View};
+    use crate::geometry::{LensModel, View};
     use glam::DAffine3;
 
     /// Pixel values encode pixel positions, so the rectified image shows where the lens put each point of the
@@ -119,8 +119,8 @@ mod tests {
         let (width, height) = (200, 120);
         let rows = [[150.0, 0.0, 97.0], [0.0, 160.0, 63.0], [0.0, 0.0, 1.0]];
         let pinhole = Camera::new("c", width, height, rows).unwrap();
-        let distortion = Distortion::from_opencv([-0.356, 0.17, 0.001, -0.002, -0.05]);
-        let camera = Camera { distortion, ..pinhole.clone() };
+        let lens = LensModel::from_opencv([-0.356, 0.17, 0.001, -0.002, -0.05]);
+        let camera = Camera { lens, ..pinhole.clone() };
         let recorded = RgbImage::from_fn(width, height, |x, y| Rgb([x as u8, 2 * y as u8, 9]));
         assert_eq!(rectified(recorded.clone(), &pinhole), recorded);
         let found = rectified(recorded, &camera);

@@ -7,7 +7,7 @@ use point_skeleton::conditions::{
     ColorFilter, ConditionError, ConditionOptions, ConditionSet, ImageSize, MapKind, MapSet, render,
 };
 use point_skeleton::dataset::Class;
-use point_skeleton::geometry::{Camera, Cuboid, Distortion, Pose, View};
+use point_skeleton::geometry::{Camera, Cuboid, LensModel, Pose, View};
 use point_skeleton::raster::Instance;
 use point_skeleton::raster::reference::ReferenceRasterizer;
 use point_skeleton::scene::{ActorState, SceneCamera, SceneInstances, SceneState};
@@ -34,9 +34,9 @@ fn projected_points_match_opencv() {
     const ALLOWED_PX: f64 = 1e-8;
     let peers: Peers = serde_json::from_str(include_str!("../peers/distortion.json")).unwrap();
     for peer in peers.cameras {
-        let distortion = Distortion::from_opencv(peer.distortion);
+        let lens = LensModel::from_opencv(peer.distortion);
         let camera = Camera::new(&peer.name, peer.width, peer.height, peer.intrinsics).unwrap();
-        let camera = Camera { distortion, ..camera };
+        let camera = Camera { lens, ..camera };
         let view = View { camera, camera_from_world: DAffine3::IDENTITY };
         let project = Projector::new(&view, &DAffine3::IDENTITY);
         let size = DVec2::new(f64::from(peer.width), f64::from(peer.height));
@@ -67,7 +67,7 @@ const BUMP: [f64; 5] = [0.18, -0.05, -0.004, 0.006, 0.012];
 fn view(name: &str, coefficients: [f64; 5]) -> View {
     let rows = [[90.0, 0.0, 81.0], [0.0, 91.0, 44.0], [0.0, 0.0, 1.0]];
     let camera = Camera::new(name, 160, 90, rows).unwrap();
-    let camera = Camera { distortion: Distortion::from_opencv(coefficients), ..camera };
+    let camera = Camera { lens: LensModel::from_opencv(coefficients), ..camera };
     View { camera, camera_from_world: DAffine3::IDENTITY }
 }
 

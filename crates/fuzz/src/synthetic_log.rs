@@ -75,11 +75,12 @@ fn frame(index: usize) -> Frame {
     Frame {
         t_us,
         global_from_ego,
-        sweeps: vec![SweepRecord { path, t_us, global_from_ego, ego_from_lidar, is_key }],
+        sweeps: vec![SweepRecord { path, row: None, t_us, global_from_ego, ego_from_lidar, is_key }],
         images: vec![ImageRecord {
             token: "i".into(),
             channel,
             path: "made".into(),
+            row: None,
             t_us,
             global_from_ego,
             ego_from_camera,

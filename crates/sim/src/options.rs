@@ -1,4 +1,4 @@
-use point_skeleton::dataset::LogFormat;
+use point_skeleton::dataset::{LogFormat, Recording};
 use serde::Serialize;
 
 use super::{LocalPath, PlannerSpec};
@@ -204,9 +204,9 @@ impl Rates {
     /// Rates for nuScenes.
     pub const NUSCENES: Self = Self { sim_hz: 12.0, plan_hz: 2.0 };
 
-    /// Returns the default rates of a log's format.
-    pub fn of(format: &LogFormat) -> Self {
-        let [sim_hz, plan_hz] = format.rates_hz;
+    /// Returns the default rates of a log, or else of its format.
+    pub fn of(format: &LogFormat, log: &Recording) -> Self {
+        let [sim_hz, plan_hz] = log.rates_hz.unwrap_or(format.rates_hz);
         Self { sim_hz, plan_hz }
     }
 }

@@ -107,6 +107,7 @@ fn frame(index: i64) -> Frame {
     let t_us = FIRST_US + STEP_US * index;
     let sweep = |t_us: i64, is_key: bool| SweepRecord {
         path: format!("sweep {t_us}").into(),
+        row: None,
         t_us,
         global_from_ego: ego_at(t_us),
         ego_from_lidar: Pose::from_yaw(0.0, DVec3::Z * LIDAR_Z),
@@ -118,6 +119,7 @@ fn frame(index: i64) -> Frame {
         token: format!("{name} {index}"),
         channel,
         path: format!("{name} {index}").into(),
+        row: None,
         t_us: t_us - before_us,
         global_from_ego: ego_at(t_us - before_us),
         ego_from_camera: Pose {

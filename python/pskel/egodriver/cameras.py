@@ -15,14 +15,16 @@ from pskel.alpasim.pinhole import pinhole
 
 from .driver import DriverError, one_line
 
-#: Nearest cameras of AlpaSim's vehicles to those of nuScenes and the town, nuPlan, and Argoverse 2.
+#: Nearest cameras of AlpaSim's vehicles to those of nuScenes and the town, nuPlan, Argoverse 2, and 123D (its own vehicles, and others;
+#: of several the first that a rollout has).
 ALPASIM_NAMES = {
-    "camera_front_wide_120fov": ("CAM_FRONT", "CAM_F0", "ring_front_center"),
-    "camera_cross_left_120fov": ("CAM_FRONT_LEFT", "CAM_L0", "ring_front_left"),
-    "camera_cross_right_120fov": ("CAM_FRONT_RIGHT", "CAM_R0", "ring_front_right"),
-    "camera_rear_left_70fov": ("CAM_BACK_LEFT", "CAM_L2", "ring_rear_left"),
-    "camera_rear_right_70fov": ("CAM_BACK_RIGHT", "CAM_R2", "ring_rear_right"),
-    "camera_rear_tele_30fov": ("CAM_BACK", "CAM_B0"),
+    "camera_front_wide_120fov": ("CAM_FRONT", "CAM_F0", "ring_front_center", "FTCAM_F0", "PCAM_F0"),
+    "camera_front_tele_30fov": ("FTCAM_TELE_F0",),
+    "camera_cross_left_120fov": ("CAM_FRONT_LEFT", "CAM_L0", "ring_front_left", "FTCAM_L0", "PCAM_L0"),
+    "camera_cross_right_120fov": ("CAM_FRONT_RIGHT", "CAM_R0", "ring_front_right", "FTCAM_R0", "PCAM_R0"),
+    "camera_rear_left_70fov": ("CAM_BACK_LEFT", "CAM_L2", "ring_rear_left", "FTCAM_L1", "PCAM_L2", "PCAM_L1"),
+    "camera_rear_right_70fov": ("CAM_BACK_RIGHT", "CAM_R2", "ring_rear_right", "FTCAM_R1", "PCAM_R2", "PCAM_R1"),
+    "camera_rear_tele_30fov": ("CAM_BACK", "CAM_B0", "FTCAM_TELE_B0", "PCAM_B0"),
 }
 _PNG = b"\x89PNG\r\n\x1a\n"
 
@@ -37,8 +39,9 @@ def logical_ids(choice: str, names: list[str]) -> dict[str, str]:
     if choice == "all":
         return {name: name for name in names}
     if choice == "alpasim":
-        known = {name: logical for logical, others in ALPASIM_NAMES.items() for name in others}
-        ids = {name: known[name] for name in names if name in known}
+        nearest = {logical: [name for name in others if name in names] for logical, others in ALPASIM_NAMES.items()}
+        first = {found[0]: logical for logical, found in nearest.items() if found}
+        ids = {name: first[name] for name in names if name in first}
     else:
         pairs = [part.partition("=") for part in choice.split(",")]
         ids = {name: logical or name for name, _, logical in pairs}

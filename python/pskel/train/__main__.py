@@ -12,7 +12,7 @@ import textwrap
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 from .config import Config, DataOptions, TrainOptions
 from .errors import ConfigError, TrainError
@@ -99,16 +99,22 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 0
 
 
+def end(status: int) -> NoReturn:
+    """End this process after its last training."""
+    sys.stdout.flush()
+    sys.stderr.flush()
+    if int(os.environ.get("WORLD_SIZE", "1")) > 1:
+        if not status:
+            from .parallel import end_processes
+
+            end_processes()
+        # Without the interpreter's teardown: libraries of communication wait for lost processes in it, and PyTorch's
+        # threads abort some processes that have succeeded.
+        os._exit(status)
+    sys.exit(status)
+
+
 if __name__ == "__main__":
     signal.signal(signal.SIGTERM, _stop)
     signal.signal(signal.SIGINT, _stop)
-    status = main()
-    sys.stdout.flush()
-    sys.stderr.flush()
-    if status and int(os.environ.get("WORLD_SIZE", "1")) > 1:
-        os._exit(status)  # libraries of communication would wait for the other processes
-    if not status:
-        from .parallel import end_processes
-
-        end_processes()
-    sys.exit(status)
+    end(main())

@@ -280,8 +280,8 @@ impl Log {
         PyIndexError::new_err(format!("expected a frame below {}, found {index}", self.__len__()))
     }
 
-    /// Returns the default rates of the log's format.
+    /// Returns the default rates of the log.
     pub(crate) fn rates(&self) -> Rates {
-        Rates::of(self.locator.format)
+        Rates::of(self.locator.format, self.inner.recording())
     }
 }

@@ -303,8 +303,6 @@ def losses(out: Path) -> list[dict[str, float]]:
 
 
 if __name__ == "__main__":  # several trainings in the same processes, since importing PyTorch takes seconds
-    for arguments in json.loads(sys.argv[1]):
-        from pskel.train.__main__ import main
+    from pskel.train.__main__ import end, main
 
-        if status := main(arguments):
-            sys.exit(status)
+    end(next((status for status in map(main, json.loads(sys.argv[1])) if status), 0))

@@ -277,6 +277,7 @@ mod tests {
         ImageRecord {
             token: token.to_owned(),
             path: "a.jpg".into(),
+            row: None,
             t_us: 0,
             channel: 0,
             global_from_ego: Pose::IDENTITY,

@@ -36,10 +36,13 @@ const TITLE: u32 = 28;
 const BAR: u32 = 160;
 
 /// Camera layouts of known rigs: two rows each, forward and backward, from left to right.
-const RIGS: [[&[&str]; 2]; 4] = [
+const RIGS: [[&[&str]; 2]; 7] = [
     [&["CAM_FRONT_LEFT", "CAM_FRONT", "CAM_FRONT_RIGHT"], &["CAM_BACK_LEFT", "CAM_BACK", "CAM_BACK_RIGHT"]],
     [&["CAM_L0", "CAM_F0", "CAM_R0"], &["CAM_L1", "CAM_B0", "CAM_R1"]],
     [&["CAM_L1", "CAM_L0", "CAM_F0", "CAM_R0", "CAM_R1"], &["CAM_L2", "CAM_B0", "CAM_R2"]],
+    [&["PCAM_L0", "PCAM_F0", "PCAM_R0"], &["PCAM_L1", "PCAM_B0", "PCAM_R1"]],
+    [&["PCAM_L1", "PCAM_L0", "PCAM_F0", "PCAM_R0", "PCAM_R1"], &["PCAM_L2", "PCAM_B0", "PCAM_R2"]],
+    [&["FTCAM_L0", "FTCAM_F0", "FTCAM_TELE_F0", "FTCAM_R0"], &["FTCAM_L1", "FTCAM_TELE_B0", "FTCAM_R1"]],
     [
         &["ring_front_left", "ring_front_center", "ring_front_right"],
         &["ring_side_left", "ring_rear_left", "ring_rear_right", "ring_side_right"],

@@ -124,7 +124,8 @@ impl FrameMeta {
     /// Records the lens distortion of the cameras, for a step whose maps were distorted.
     pub fn distorted(mut self, state: &SceneState) -> Self {
         for (meta, camera) in self.cameras.iter_mut().zip(&state.cameras) {
-            meta.distortion = camera.view.camera.distortion.map(|d| d.coefficients());
+            meta.distortion =
+                camera.view.camera.lens.and_then(|lens| lens.distortion()).map(|d| d.coefficients());
         }
         self
     }
@@ -233,7 +234,7 @@ fn class_number(class: Class) -> u8 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::geometry::{Camera, Cuboid, Distortion, Pose, View};
+    use crate::geometry::{Camera, Cuboid, LensModel, Pose, View};
     use crate::scene::ActorState;
     use glam::{DMat3, DQuat};
 
@@ -295,7 +296,7 @@ mod tests {
         assert_eq!(meta["cameras"][0]["global_from_ego"][1][3], 4e6);
         assert!(meta["cameras"][0].get("distortion").is_none());
         let mut bent = state();
-        bent.cameras[1].view.camera.distortion = Distortion::from_opencv([0.1, 0.2, 0.3, 0.4, 0.5]);
+        bent.cameras[1].view.camera.lens = LensModel::from_opencv([0.1, 0.2, 0.3, 0.4, 0.5]);
         let bent = FrameMeta::new(&bent, &options, &prompt, None).distorted(&bent);
         let distortion = bent.cameras.iter().map(|c| c.distortion).collect::<Vec<_>>();
         assert_eq!(distortion[..3], [None, Some([0.1, 0.2, 0.3, 0.4, 0.5]), None]);

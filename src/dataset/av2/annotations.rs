@@ -5,10 +5,10 @@ use std::path::Path;
 
 use glam::DVec3;
 
-use super::category;
-use super::feather::Table;
 use super::poses::{POSE, micros, poses};
+use crate::dataset::category::argoverse;
 use crate::dataset::clock::Unit;
+use crate::dataset::tables::{ArrowFile, Table};
 use crate::dataset::{Class, DatasetError, Track};
 use crate::error::FileError;
 use crate::geometry::{Cuboid, CuboidError, Pose};
@@ -57,7 +57,7 @@ impl Annotations {
     pub(super) fn read(path: &Path) -> Result<Self, DatasetError> {
         const OTHERS: [&str; 6] =
             ["timestamp_ns", "track_uuid", "category", "length_m", "width_m", "height_m"];
-        let table = Table::read_with(path, &[&OTHERS[..], &POSE[..]].concat(), &[POINTS])?;
+        let table = ArrowFile::read(path)?.table(&[&OTHERS[..], &POSE[..]].concat(), &[POINTS])?;
         let (ids, categories) = (table.column("track_uuid")?.texts()?, table.column("category")?.texts()?);
         let mut category_of = BTreeMap::new();
         for (id, category) in ids.iter().zip(&categories) {
@@ -66,7 +66,7 @@ impl Annotations {
         let of_track = |id: &&str, category: &&str| category_of.get(id) == Some(category);
         let other_category = ids.iter().zip(&categories).filter(|(id, c)| !of_track(id, c)).count();
         let mut unknown_categories = BTreeMap::new();
-        for name in categories.iter().filter(|name| category::dotted(name).is_none()) {
+        for name in categories.iter().filter(|name| argoverse::dotted(name).is_none()) {
             *unknown_categories.entry((*name).to_owned()).or_default() += 1;
         }
         let place: BTreeMap<&str, usize> = category_of.keys().enumerate().map(|(i, id)| (*id, i)).collect();
@@ -79,7 +79,7 @@ impl Annotations {
             }
         }
         let track = |(id, name): (&str, &str)| {
-            let category = category::dotted(name).unwrap_or_else(|| category::unknown(name));
+            let category = argoverse::dotted(name).unwrap_or_else(|| argoverse::unknown(name));
             let class = Class::from_category(&category);
             Track { id: id.to_owned(), category, class }
         };

@@ -7,13 +7,13 @@
 
 use std::path::Path;
 
-use super::feather::Table;
 use super::poses::{POSE, poses};
 use crate::dataset::recording::notes::Notes;
+use crate::dataset::tables::ArrowFile;
 use crate::dataset::{DatasetError, Gap, ImageDistortion, RigCamera};
 use crate::error::FileError;
 use crate::files::first_twice;
-use crate::geometry::{Camera, Distortion};
+use crate::geometry::{Camera, LensModel};
 
 /// The seven ring cameras in ring order, each next to its neighbors. The front stereo pair is excluded.
 pub(super) const RING: [&str; 7] = [
@@ -40,7 +40,7 @@ pub(super) fn read(
     notes: &mut Notes,
 ) -> Result<Vec<RigCamera>, DatasetError> {
     let path = folder.join("egovehicle_SE3_sensor.feather");
-    let extrinsics = Table::read(&path, &[&["sensor_name"], &POSE[..]].concat())?;
+    let extrinsics = ArrowFile::read(&path)?.table(&[&["sensor_name"], &POSE[..]].concat(), &[])?;
     let sensors = extrinsics.column("sensor_name")?.texts()?;
     let ego_from_sensor = poses(&extrinsics, |row| format!("sensor {}", sensors[row]))?;
     let inner = folder.join("intrinsics.feather");
@@ -73,7 +73,8 @@ fn intrinsics(path: &Path, distortion: ImageDistortion) -> Result<Vec<Camera>, D
     const NUMBERS: [&str; 4] = ["fx_px", "fy_px", "cx_px", "cy_px"];
     const LENS: [&str; 3] = ["k1", "k2", "k3"];
     let lens = if distortion == ImageDistortion::Apply { &LENS[..] } else { &[] };
-    let table = Table::read(path, &[&["sensor_name", "width_px", "height_px"], &NUMBERS[..], lens].concat())?;
+    let columns = [&["sensor_name", "width_px", "height_px"], &NUMBERS[..], lens].concat();
+    let table = ArrowFile::read(path)?.table(&columns, &[])?;
     let names = table.column("sensor_name")?.texts()?;
     let (widths, heights) = (table.column("width_px")?.counts()?, table.column("height_px")?.counts()?);
     let numbers = |name: &str| table.column(name)?.numbers();
@@ -92,7 +93,7 @@ fn intrinsics(path: &Path, distortion: ImageDistortion) -> Result<Vec<Camera>, D
             let found = format!("{k1} {k2} {k3} of sensor {}", names[row]);
             return Err(FileError::content("finite k1 k2 k3", found, path).into());
         }
-        Ok(Camera { distortion: Distortion::from_opencv([k1, k2, 0.0, 0.0, k3]), ..camera })
+        Ok(Camera { lens: LensModel::from_opencv([k1, k2, 0.0, 0.0, k3]), ..camera })
     };
     let cameras: Vec<Camera> = (0..table.rows()).map(camera).collect::<Result<_, DatasetError>>()?;
     match first_twice(cameras.iter().map(|camera| &camera.name)) {

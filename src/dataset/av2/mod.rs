@@ -2,17 +2,14 @@
 //! images, and a JSON map.
 //!
 //! # How it works
-//! `feather` and `column` read tables, and `read` combines the tables of a log. `sweep` and `map` read their
+//! `read` combines the tables of a log. `sweep` and `map` read their
 //! files on demand. A frame is an annotated time; its sweep is the file with the same time, its images are
 //! the nearest in time. Times are nanoseconds in files and whole microseconds in a [`Recording`]. Format:
 //! <https://argoverse.github.io/user-guide/datasets/sensor.html>.
 
 mod annotations;
 mod calibration;
-mod category;
 mod choose;
-mod column;
-mod feather;
 mod map;
 mod poses;
 mod read;
@@ -21,6 +18,8 @@ mod sweep;
 
 pub use map::read_map_file;
 pub use sweep::read_sweep_file;
+#[cfg(feature = "123d")]
+pub(super) use sweep::{declared_points, read_as as read_sweep_as};
 
 use std::path::PathBuf;
 

@@ -2,9 +2,9 @@
 
 use std::path::Path;
 
-use super::feather::Table;
 use crate::dataset::DatasetError;
 use crate::dataset::clock::Unit;
+use crate::dataset::tables::{ArrowFile, Table};
 use crate::error::FileError;
 use crate::geometry::Pose;
 
@@ -24,7 +24,7 @@ impl Trajectory {
     /// # Errors
     /// Fails if the file is damaged or has no poses, times do not increase, or a pose is invalid.
     pub(super) fn read(path: &Path) -> Result<Self, DatasetError> {
-        let table = Table::read(path, &[&["timestamp_ns"], &POSE[..]].concat())?;
+        let table = ArrowFile::read(path)?.table(&[&["timestamp_ns"], &POSE[..]].concat(), &[])?;
         let times_ns = table.column("timestamp_ns")?.integers()?;
         if times_ns.is_empty() {
             return Err(FileError::content("at least one ego pose", "none", path).into());

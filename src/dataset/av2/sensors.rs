@@ -86,7 +86,7 @@ pub(super) fn add_sweeps(
         };
         // Sweeps are stored in the ego frame, with motion compensation.
         let (t_us, ego_from_lidar, is_key) = (micros(t_ns), Pose::IDENTITY, own_frame.is_some());
-        frame.sweeps.push(SweepRecord { path, t_us, global_from_ego, ego_from_lidar, is_key });
+        frame.sweeps.push(SweepRecord { path, row: None, t_us, global_from_ego, ego_from_lidar, is_key });
     }
     for ((frame, t_ns), own) in frames.iter_mut().zip(times_ns).zip(own) {
         // The frame's own sweep first, then the latest.
@@ -136,7 +136,8 @@ pub(super) fn add_images(
         let RigCamera { channel, ego_from_camera, camera } = rig.clone();
         let t_us = micros(t_ns);
         let token = format!("{log}_{}_{t_ns}", camera.name);
-        let record = ImageRecord { token, channel, path, t_us, global_from_ego, ego_from_camera, camera };
+        let record =
+            ImageRecord { token, channel, path, row: None, t_us, global_from_ego, ego_from_camera, camera };
         records.push((t_ns, record));
     }
     // Image names are not known, but the name of their folder is. A log without any such folder has no

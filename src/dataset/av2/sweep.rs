@@ -2,8 +2,8 @@
 
 use std::path::Path;
 
-use super::feather::{Table, declared_rows};
 use crate::dataset::sweeps::{SweepRow, SweepRows};
+use crate::dataset::tables::ArrowFile;
 use crate::dataset::{RingMeaning, Sweep};
 use crate::error::FileError;
 
@@ -25,8 +25,8 @@ pub fn read_sweep_file(path: &Path) -> Result<Sweep, FileError> {
 ///
 /// # Errors
 /// Fails as [`read_sweep_file`].
-pub(super) fn read_as(path: &Path, meaning: RingMeaning) -> Result<Sweep, FileError> {
-    let table = Table::read_with(path, &COORDINATES, &[INTENSITY, RING])?;
+pub(in crate::dataset) fn read_as(path: &Path, meaning: RingMeaning) -> Result<Sweep, FileError> {
+    let table = ArrowFile::read(path)?.table(&COORDINATES, &[INTENSITY, RING])?;
     let numbers = |name: &str| table.column(name)?.numbers_or_nan();
     let [x, y, z] = [numbers("x")?, numbers("y")?, numbers("z")?];
     let mut sweep = SweepRows::with_capacity(table.rows());
@@ -51,8 +51,10 @@ pub(super) fn read_as(path: &Path, meaning: RingMeaning) -> Result<Sweep, FileEr
 ///
 /// # Errors
 /// Fails if the file is missing, is not a Feather file, lacks coordinates, or has no points.
-pub(super) fn declared_points(path: &Path) -> Result<u64, FileError> {
-    match declared_rows(path, &COORDINATES)? {
+pub(in crate::dataset) fn declared_points(path: &Path) -> Result<u64, FileError> {
+    let file = ArrowFile::read(path)?;
+    file.require(&COORDINATES)?;
+    match file.rows() {
         0 => Err(FileError::content("at least one point", "none", path)),
         points => Ok(points),
     }

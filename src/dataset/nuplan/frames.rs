@@ -111,6 +111,7 @@ fn shot(
     }
     let sweep = ego_from_lidar.map(|ego_from_lidar| SweepRecord {
         path,
+        row: None,
         t_us,
         global_from_ego,
         ego_from_lidar: *ego_from_lidar,

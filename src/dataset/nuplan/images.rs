@@ -15,7 +15,7 @@ use crate::dataset::recording::notes::{DANGLING_DATA, NO_IMAGE, Notes, note};
 use crate::dataset::{DatasetError, Gap, ImageDistortion, ImageRecord, RigCamera};
 use crate::error::FileError;
 use crate::files::first_twice;
-use crate::geometry::{Camera, Distortion, Pose};
+use crate::geometry::{Camera, Distortion, LensModel, Pose};
 
 /// Maximum time difference between a frame and its image, microseconds: half the image interval, plus half of
 /// that for uneven clocks.
@@ -162,7 +162,7 @@ fn camera(row: &Row<'_>, option: ImageDistortion, database: &Database) -> Result
         DatasetError::Camera { source, record: row.name(), path: database.path().to_owned() }
     })?;
     // The column has OpenCV's order, k1 k2 p1 p2 k3.
-    Ok(Camera { distortion: Distortion::from_opencv(distortion), ..camera })
+    Ok(Camera { lens: LensModel::from_opencv(distortion), ..camera })
 }
 
 /// Returns the distortion coefficients from a `camera` row: `k1 k2 p1 p2`, then `k3` or further zeros.
@@ -278,7 +278,7 @@ fn record(
     let path = place.sensors.resolve(name).map_err(|error| row.wrong(3, &error.expected, &error.found))?;
     let (ego_from_camera, camera) = (camera.ego_from_camera, camera.camera.clone());
     let token = hex(row.blob(0)?);
-    Ok(Some(ImageRecord { token, channel, path, t_us, global_from_ego, ego_from_camera, camera }))
+    Ok(Some(ImageRecord { token, channel, path, row: None, t_us, global_from_ego, ego_from_camera, camera }))
 }
 
 #[cfg(test)]

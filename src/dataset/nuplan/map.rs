@@ -11,10 +11,10 @@ use glam::DVec2;
 use serde::Deserialize;
 
 use super::database::{Database, Query, Row};
-use super::geometry::{self, Shape};
 use super::projection::Utm;
 use crate::dataset::recording::degenerate::{Fault, Unreadable, note_fault, note_missing};
 use crate::dataset::recording::notes::{Counts, count};
+use crate::dataset::wkb::{self, Shape};
 use crate::dataset::{Area, DatasetError, Lane, VectorMap};
 use crate::error::FileError;
 use crate::files::{FileName, json};
@@ -125,7 +125,7 @@ impl Layers {
             let mut faults = Vec::new();
             let shape = match row.is_null(1) {
                 true => None,
-                false => geometry::decode(row.blob(1)?, &self.utm, &mut faults)
+                false => wkb::decode_gpkg(row.blob(1)?, &|place| self.utm.project(place), &mut faults)
                     .map_err(|found| row.wrong(1, "lines or polygons in longitude and latitude", &found))?,
             };
             for fault in &faults {

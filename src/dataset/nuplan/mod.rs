@@ -10,7 +10,6 @@ mod annotations;
 mod clocks;
 mod database;
 mod frames;
-mod geometry;
 mod images;
 mod map;
 mod pickle;

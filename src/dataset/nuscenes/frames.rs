@@ -21,7 +21,7 @@ use crate::dataset::{DatasetError, Gap, ImageDistortion, ImageRecord, SweepRecor
 use crate::error::FileError;
 use crate::files::input::DataRoot;
 use crate::files::{FileName, first_twice};
-use crate::geometry::{Camera, CameraError, Pose};
+use crate::geometry::{Camera, CameraError, LensModel, Pose};
 
 /// The six cameras in ring order, each next to its neighbors.
 const RING: [&str; 6] =
@@ -197,8 +197,16 @@ impl Sensors {
                 let camera = self.camera(data, origin)?;
                 let ego_from_camera = ego_from_sensor;
                 let token = data.token.clone();
-                let record =
-                    ImageRecord { token, channel, path, t_us, global_from_ego, ego_from_camera, camera };
+                let record = ImageRecord {
+                    token,
+                    channel,
+                    path,
+                    row: None,
+                    t_us,
+                    global_from_ego,
+                    ego_from_camera,
+                    camera,
+                };
                 if !data.is_key_frame.0 {
                     pile.between_images.push(record);
                 } else if pile.images.iter().any(|i| i.channel == channel) {
@@ -212,8 +220,14 @@ impl Sensors {
                 if is_key && pile.sweeps.iter().any(|s| s.is_key && s.channel == channel) {
                     return Err(twice(&channel));
                 }
-                let record =
-                    SweepRecord { path, t_us, global_from_ego, ego_from_lidar: ego_from_sensor, is_key };
+                let record = SweepRecord {
+                    path,
+                    row: None,
+                    t_us,
+                    global_from_ego,
+                    ego_from_lidar: ego_from_sensor,
+                    is_key,
+                };
                 let token = data.token.clone();
                 pile.sweeps.push(RawSweep { channel, is_key, token, record });
             }
@@ -248,7 +262,7 @@ impl Sensors {
             };
             DatasetError::Camera { source, record, path }
         })?;
-        Ok(Camera { distortion: lens.distortion, ..camera })
+        Ok(Camera { lens: lens.distortion.map(LensModel::from), ..camera })
     }
 }
 
@@ -359,6 +373,7 @@ mod tests {
         let (global_from_ego, ego_from_lidar) = (Pose::IDENTITY, Pose::IDENTITY);
         let record = SweepRecord {
             path: format!("{t_us}.pcd.bin").into(),
+            row: None,
             t_us,
             global_from_ego,
             ego_from_lidar,
@@ -373,6 +388,7 @@ mod tests {
             token: t_us.to_string(),
             channel: 0,
             path: format!("{t_us}.jpg").into(),
+            row: None,
             t_us,
             global_from_ego: Pose::IDENTITY,
             ego_from_camera: Pose::IDENTITY,

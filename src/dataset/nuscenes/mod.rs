@@ -28,6 +28,8 @@ pub use interpolate::{ANNOTATED_HZ, InterpolatedCounts, interpolate_tables};
 pub use map::read_map_file;
 pub use subset::{SubsetSample, TableSubset};
 pub use sweep::{POINT_BYTES, parse_sweep, read_sweep_file, write_sweep_file};
+#[cfg(feature = "123d")]
+pub(super) use sweep::{check as check_sweep, read_rows as sweep_rows};
 use version::Version;
 
 pub use write::{LogWriter, write_log};

@@ -32,7 +32,7 @@ pub fn read_sweep_file(path: &Path) -> Result<Sweep, FileError> {
 ///
 /// # Errors
 /// Fails as [`read_sweep_file`], except that points may be missing.
-pub(super) fn read_rows(path: &Path) -> Result<SweepRows, FileError> {
+pub(in crate::dataset) fn read_rows(path: &Path) -> Result<SweepRows, FileError> {
     parse_rows(&read_file(path, SWEEP_BYTES)?, path)
 }
 
@@ -78,7 +78,7 @@ fn columns_of(head: &[u8], read: &ReadAt<'_>, length: u64, path: &Path) -> Resul
 ///
 /// # Errors
 /// Fails as [`read_sweep_file`], except for errors in the points themselves.
-pub(super) fn check(path: &Path) -> Result<u64, FileError> {
+pub(in crate::dataset) fn check(path: &Path) -> Result<u64, FileError> {
     let (file, length) = open_up_to(path, SWEEP_BYTES)?;
     let read = |start: u64, length: usize| {
         let mut bytes = vec![0; length];

@@ -100,7 +100,7 @@ fn write_files(
 fn refuse_distortion(log: &Recording, root: &Path) -> Result<(), FileError> {
     let images = log.frames.iter().flat_map(|f| f.images.iter().chain(&f.between_images));
     let mut cameras = log.rig.iter().map(|c| &c.camera).chain(images.map(|image| &image.camera));
-    match cameras.find(|camera| camera.distortion.is_some()) {
+    match cameras.find(|camera| camera.lens.is_some()) {
         None => Ok(()),
         Some(camera) => Err(FileError::content(
             "cameras without lens distortion",
@@ -362,7 +362,7 @@ impl Tables {
 mod tests {
     use super::*;
     use crate::dataset::RigCamera;
-    use crate::geometry::{Camera, Distortion};
+    use crate::geometry::{Camera, LensModel};
 
     /// A log with one camera and no frames.
     struct Bare(Recording);
@@ -387,8 +387,8 @@ mod tests {
         let rows = [[48.0, 0.0, 48.0], [0.0, 48.0, 32.0], [0.0, 0.0, 1.0]];
         let camera = Camera::new("CAM_A", 96, 64, rows).unwrap();
         let write = |k1: f64| {
-            let distortion = Distortion::from_opencv([k1, 0.0, 0.0, 0.0, 0.0]);
-            let camera = Camera { distortion, ..camera.clone() };
+            let lens = LensModel::from_opencv([k1, 0.0, 0.0, 0.0, 0.0]);
+            let camera = Camera { lens, ..camera.clone() };
             let rig = vec![RigCamera { channel: 0, ego_from_camera: Pose::IDENTITY, camera }];
             let log = Recording { cameras: vec!["CAM_A".parse().unwrap()], rig, ..Recording::default() };
             write_log(folder.path(), "v1.0-mini", &Bare(log)).map_err(|e| e.to_string())

@@ -46,6 +46,7 @@ mod tests {
         let pose = |x: f64| Pose::from_yaw(0.0, DVec3::new(x, 0.0, 0.0));
         let sweep = |t_us: i64, x: f64| SweepRecord {
             path: "s".into(),
+            row: None,
             t_us,
             global_from_ego: pose(x),
             ego_from_lidar: Pose::IDENTITY,

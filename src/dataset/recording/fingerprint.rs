@@ -7,7 +7,7 @@ use glam::DVec2;
 use twox_hash::XxHash3_64;
 
 use crate::dataset::{Area, Frame, ImageRecord, Lane, Recording, SweepRecord, VectorMap};
-use crate::geometry::{Camera, Pose};
+use crate::geometry::{Camera, LensModel, Pose};
 
 /// Prefix of this version's fingerprints; other versions' cannot be compared with them.
 const MARK: &str = "2-";
@@ -127,8 +127,26 @@ impl Fingerprint {
         self.number(camera.width.into());
         self.number(camera.height.into());
         self.numbers(camera.rows().into_iter().flatten());
-        let coefficients = camera.distortion.map(|distortion| distortion.coefficients());
-        self.all(coefficients.as_slice(), |hash, coefficients| hash.numbers(*coefficients));
+        self.lens(camera.lens);
+    }
+
+    /// Adds a lens; the first number keeps models apart.
+    fn lens(&mut self, lens: Option<LensModel>) {
+        match lens {
+            None => self.number(0),
+            Some(LensModel::BrownConrady(distortion)) => {
+                self.number(1);
+                self.numbers(distortion.coefficients());
+            }
+            Some(LensModel::Mei(mei)) => {
+                self.number(2);
+                self.numbers([mei.xi()].into_iter().chain(mei.radial()));
+            }
+            Some(LensModel::FTheta(f_theta)) => {
+                self.number(3);
+                self.numbers(f_theta.polynomial());
+            }
+        }
     }
 
     fn frame(&mut self, frame: &Frame, folder: &Path) {
@@ -147,6 +165,7 @@ impl Fingerprint {
 
     fn sweep(&mut self, sweep: &SweepRecord, folder: &Path) {
         self.path(&sweep.path, folder);
+        self.row(sweep.row);
         self.number(sweep.t_us.cast_unsigned());
         self.pose(&sweep.global_from_ego);
         self.pose(&sweep.ego_from_lidar);
@@ -157,6 +176,7 @@ impl Fingerprint {
         self.text(&image.token);
         self.number(image.channel as u64);
         self.path(&image.path, folder);
+        self.row(image.row);
         self.number(image.t_us.cast_unsigned());
         self.pose(&image.global_from_ego);
         self.pose(&image.ego_from_camera);
@@ -167,6 +187,12 @@ impl Fingerprint {
     fn path(&mut self, path: &Path, folder: &Path) {
         let parts: Vec<Component<'_>> = path.strip_prefix(folder).unwrap_or(path).components().collect();
         self.all(&parts, |hash, part| hash.bytes(part.as_os_str().as_encoded_bytes()));
+    }
+
+    /// Adds the row of a table.
+    fn row(&mut self, row: Option<u32>) {
+        // Nothing without one: fingerprints of logs without tables remain as they are.
+        row.into_iter().for_each(|row| self.number(row.into()));
     }
 
     fn lane(&mut self, lane: &Lane) {
@@ -192,7 +218,7 @@ mod tests {
 
     use super::*;
     use crate::dataset::{Class, NavigationRoute, RigCamera, Track, TrackBox, TrafficLight};
-    use crate::geometry::{Cuboid, Distortion};
+    use crate::geometry::{Cuboid, LensModel};
 
     fn log_at(root: &str) -> Recording {
         let track =
@@ -203,6 +229,7 @@ mod tests {
             token: name.into(),
             channel: 0,
             path: format!("{root}/images/{name}").into(),
+            row: None,
             t_us: 1,
             global_from_ego: Pose::IDENTITY,
             ego_from_camera: Pose::IDENTITY,
@@ -210,6 +237,7 @@ mod tests {
         };
         let sweep = SweepRecord {
             path: format!("{root}/sweeps/1").into(),
+            row: None,
             t_us: 1,
             global_from_ego: Pose::IDENTITY,
             ego_from_lidar: Pose::IDENTITY,
@@ -240,8 +268,8 @@ mod tests {
 
     #[test]
     fn every_field_changes_the_fingerprint() {
-        let distortion = Distortion::from_opencv([0.1, 0.0, 0.0, 0.0, 0.0]);
-        let changes: [&dyn Fn(&mut Recording); 25] = [
+        let lens = LensModel::from_opencv([0.1, 0.0, 0.0, 0.0, 0.0]);
+        let changes: [&dyn Fn(&mut Recording); 27] = [
             &|log| log.description = "b".into(),
             &|log| log.name = "b".into(),
             &|log| log.location = "b".into(),
@@ -258,8 +286,10 @@ mod tests {
             &|log| log.frames[0].sweeps[0].global_from_ego.translation.x += 1e-9,
             &|log| log.frames[0].sweeps[0].is_key = false,
             &|log| log.frames[0].images[0].path = "/data/images/3".into(),
+            &|log| log.frames[0].sweeps[0].row = Some(1),
+            &|log| log.frames[0].images[0].row = Some(1),
             &|log| log.frames[0].images[0].camera.intrinsics.z_axis.y += 1e-9,
-            &|log| log.frames[0].images[0].camera.distortion = distortion,
+            &|log| log.frames[0].images[0].camera.lens = lens,
             &|log| log.frames[0].between_images[0].t_us = 2,
             &|log| {
                 let image = log.frames[0].between_images.pop();

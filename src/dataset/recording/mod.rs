@@ -7,7 +7,7 @@ pub(super) mod notes;
 
 use std::borrow::Cow;
 use std::collections::BTreeMap;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use super::{Class, DatasetError, Gap, MissingData, ReadOptions};
 use crate::files::FileName;
@@ -45,6 +45,8 @@ pub struct Recording {
     pub notes: BTreeMap<String, usize>,
     /// Missing parts, which are also counted in the notes.
     pub gaps: Vec<Gap>,
+    /// Simulation and planning steps per second that suit the log, if others than those of its format.
+    pub rates_hz: Option<[f64; 2]>,
     /// Options with which the log was read.
     pub reading: ReadOptions,
 }
@@ -131,6 +133,8 @@ pub struct Frame {
 pub struct SweepRecord {
     /// File.
     pub path: PathBuf,
+    /// Row of the file that holds the sweep, if the file is a table.
+    pub row: Option<u32>,
     /// Absolute microseconds.
     pub t_us: i64,
     /// Ego pose at that time.
@@ -151,6 +155,8 @@ pub struct ImageRecord {
     pub channel: usize,
     /// File.
     pub path: PathBuf,
+    /// Row of the file that holds the image, if the file is a table.
+    pub row: Option<u32>,
     /// Absolute microseconds.
     pub t_us: i64,
     /// Ego pose at that time.
@@ -276,6 +282,11 @@ impl From<&ImageRecord> for RigCamera {
 }
 
 impl ImageRecord {
+    /// Returns what tells the image apart from others: its file and the row in it.
+    pub fn source(&self) -> (&Path, Option<u32>) {
+        (&self.path, self.row)
+    }
+
     /// Returns `camera_from_global` at the image's own time.
     pub fn camera_from_global(&self) -> Pose {
         (self.global_from_ego * self.ego_from_camera).inverse()

@@ -22,6 +22,8 @@ const BUILT_IN: &[&LogFormat] = &[
     &super::nuplan::FORMAT,
     #[cfg(feature = "av2")]
     &super::av2::FORMAT,
+    #[cfg(feature = "123d")]
+    &super::py123d::FORMAT,
 ];
 
 /// Formats of other crates' readers.

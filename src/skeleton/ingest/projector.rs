@@ -1,8 +1,8 @@
 //! Projection of points into recorded images, one by one or many at a time.
 
-use glam::{DAffine3, DMat3, DVec2, DVec3};
+use glam::{DAffine3, DVec2, DVec3};
 
-use crate::geometry::{Lens, View};
+use crate::geometry::{CameraProjection, View};
 use crate::vectors::wide;
 
 /// Corners of the axis-aligned box around points, meters.
@@ -23,8 +23,11 @@ impl Corners {
 pub struct Projector {
     /// Maps to pixels times depth; with a lens, to the camera frame.
     from_local: DAffine3,
-    /// Lens distortion and intrinsics of the image.
-    lens: Option<(Lens, DMat3)>,
+    /// Projection by a lens.
+    lens: Option<CameraProjection>,
+    /// Cosine of the largest angle between the axis and a ray in the image of a wide lens; at most 0. `None`
+    /// for other lenses.
+    wide_cos: Option<f64>,
     size: DVec2,
 }
 
@@ -34,11 +37,14 @@ const NEAREST_M: f64 = 0.1;
 impl Projector {
     /// Creates a projector for points placed by `global_from_local`.
     pub fn new(view: &View, global_from_local: &DAffine3) -> Self {
-        let intrinsics = view.camera.intrinsics;
-        let lens = view.camera.distortion.map(|distortion| (distortion.lens(), intrinsics));
-        let camera = if lens.is_some() { DAffine3::IDENTITY } else { DAffine3::from_mat3(intrinsics) };
+        let lens = view.camera.lens.map(|_| view.camera.projection());
+        let camera = match &lens {
+            Some(_) => DAffine3::IDENTITY,
+            None => DAffine3::from_mat3(view.camera.intrinsics),
+        };
         let size = DVec2::new(f64::from(view.camera.width), f64::from(view.camera.height));
-        Self { from_local: camera * view.camera_from_world * *global_from_local, lens, size }
+        let wide_cos = lens.as_ref().and_then(|projection| wide_cos(projection, size));
+        Self { from_local: camera * view.camera_from_world * *global_from_local, lens, wide_cos, size }
     }
 
     /// Returns whether [`Projector::pixel`] is `None` for all points within bounds; `false` if that is not
@@ -50,6 +56,10 @@ impl Projector {
         // Each distance is linear in the point, so it is negative within the bounds if it is so at all
         // corners.
         let beyond = |distance: &dyn Fn(DVec3) -> f64| corners.iter().all(|q| distance(*q) < -MARGIN);
+        if let Some(cos) = self.wide_cos {
+            // Behind a cone that widens backward, which is convex like a half space.
+            return beyond(&|q| q.z - cos * q.length());
+        }
         if beyond(&|q| q.z - NEAREST_M) {
             return true;
         }
@@ -64,18 +74,32 @@ impl Projector {
     }
 
     /// Returns pixel coordinates and camera depth in meters; `None` behind the camera and outside the image.
-    /// Lens distortion is applied, so the pixel belongs to the recorded image.
+    /// The lens is applied, so the pixel belongs to the recorded image. For a wide lens, which shows points
+    /// beside and behind the camera too, the depth is the distance from the camera.
     pub fn pixel(&self, local: DVec3) -> Option<(DVec2, f64)> {
         let q = self.from_local.transform_point3(local);
-        if q.z < NEAREST_M {
+        let depth_m = if self.wide_cos.is_some() { q.length() } else { q.z };
+        if depth_m < NEAREST_M {
             return None;
         }
-        let mut pixel = DVec2::new(q.x, q.y) / q.z;
-        if let Some((lens, intrinsics)) = &self.lens {
-            pixel = (*intrinsics * lens.distort(pixel)?.extend(1.0)).truncate();
-        }
-        (pixel.cmpge(DVec2::ZERO).all() && pixel.cmplt(self.size).all()).then_some((pixel, q.z))
+        let pixel = match &self.lens {
+            None => DVec2::new(q.x, q.y) / q.z,
+            Some(projection) => projection.pixel(q)?,
+        };
+        (pixel.cmpge(DVec2::ZERO).all() && pixel.cmplt(self.size).all()).then_some((pixel, depth_m))
     }
+}
+
+/// Returns the cosine of the largest angle between the axis and a ray that an image of a wide lens shows, at
+/// most 0; `None` for other lenses.
+fn wide_cos(projection: &CameraProjection, size: DVec2) -> Option<f64> {
+    let lens = projection.lens().filter(|lens| lens.is_wide())?;
+    // The radius grows with the angle, and no part of the image is farther from the axis than its corners.
+    let corners = [DVec2::ZERO, size, DVec2::new(size.x, 0.0), DVec2::new(0.0, size.y)];
+    let angle =
+        |corner: DVec2| projection.ray(corner).map_or(lens.max_angle(), |ray| ray.angle_between(DVec3::Z));
+    let widest = corners.into_iter().map(angle).fold(0.0, f64::max);
+    Some(widest.cos().min(0.0))
 }
 
 /// Positions of points by coordinate, for loops over lanes.
@@ -163,7 +187,7 @@ impl Projector {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::geometry::{Camera, Distortion};
+    use crate::geometry::{Camera, LensModel};
 
     fn camera() -> Camera {
         let rows = [[700.0, 0.0, 800.0], [0.0, 705.0, 450.0], [0.0, 0.0, 1.0]];
@@ -174,9 +198,9 @@ mod tests {
     /// that are not finite.
     #[test]
     fn batch_projection_matches_single_points() {
-        let distortion = Distortion::from_opencv([-0.28, 0.071, 0.0011, -0.0007, -0.0079]);
+        let lens = LensModel::from_opencv([-0.28, 0.071, 0.0011, -0.0007, -0.0079]);
         let place = DAffine3::from_rotation_y(0.2) * DAffine3::from_translation(DVec3::new(1e5, 1.0, 2.0));
-        for camera in [camera(), Camera { distortion, ..camera() }] {
+        for camera in [camera(), Camera { lens, ..camera() }] {
             let view = View { camera, camera_from_world: place.inverse() };
             let project = Projector::new(&view, &place);
             let at = |i: i64, axis: i64| crate::hash::between(5, &[i, axis], -20.0, 20.0);

@@ -238,7 +238,7 @@ impl<'a> Stream<'a> {
     fn new_records(&self, frame: usize) -> Vec<&'a ImageRecord> {
         let before = frame.checked_sub(1).filter(|_| self.options.color_window > 0);
         let before = before.map_or_else(Vec::new, |before| self.records(before));
-        let is_new = |record: &&ImageRecord| !before.iter().any(|other| other.path == record.path);
+        let is_new = |record: &&ImageRecord| !before.iter().any(|other| other.source() == record.source());
         self.records(frame).into_iter().filter(is_new).collect()
     }
 

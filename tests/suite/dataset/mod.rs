@@ -13,5 +13,6 @@ mod nuscenes;
 mod nuscenes_bad;
 mod nuscenes_map;
 mod oversized;
+mod py123d;
 mod real_log;
 mod sweeps;

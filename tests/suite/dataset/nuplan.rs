@@ -3,7 +3,7 @@
 use glam::{DVec2, DVec3};
 use point_skeleton::Log;
 use point_skeleton::dataset::{self, Class, DatasetError, LogLocator, LogReader};
-use point_skeleton::geometry::{Distortion, View};
+use point_skeleton::geometry::{LensModel, View};
 use pskel_testing::nuplan_log::{
     CAMERA_Z, CORNERS, DELAY_US, DISTORTION, FIRST_US, FRAMES, LIDAR_Z, LOG, MAP, NuplanLog, RING, STEP_US,
     assert_says, car_at, ego_at, image_file, sweep_file, token,
@@ -39,8 +39,8 @@ fn cameras_at_half_the_rate_give_every_frame_an_image() {
             assert_eq!(image.t_us, FIRST_US + 2 * STEP_US * shot as i64 + DELAY_US);
             assert_eq!(image.path, nuplan.blob(&image_file(RING[channel], shot)));
             assert_eq!(image.global_from_ego.translation, ego_at(2.0 * shot as f64 + 0.1));
-            let distortion = (channel == 1).then(|| Distortion::from_opencv(DISTORTION).unwrap());
-            assert_eq!(image.camera.distortion, distortion);
+            let lens = (channel == 1).then(|| LensModel::from_opencv(DISTORTION).unwrap());
+            assert_eq!(image.camera.lens, lens);
             assert_eq!(dataset.read_image(image).unwrap().dimensions(), (96, 64));
         }
     }

@@ -81,7 +81,7 @@ fn the_recording_matches_its_readme() {
     assert!(log.frames.iter().all(|f| f.images.len() % 6 == 0 && f.between_images.is_empty()));
     for frame in &log.frames {
         for image in &frame.images {
-            assert!(image.t_us.abs_diff(frame.t_us) <= 50_000 && image.camera.distortion.is_none());
+            assert!(image.t_us.abs_diff(frame.t_us) <= 50_000 && image.camera.lens.is_none());
             assert_eq!((image.camera.width, image.camera.height), (1920, 1080));
         }
     }

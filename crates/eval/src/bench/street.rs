@@ -59,7 +59,7 @@ fn view(name: &str, yaw_deg: f64, focal_px: f64) -> Option<View> {
     let intrinsics = DMat3::from_cols(DVec3::X * focal_px, DVec3::Y * focal_px, DVec3::new(cx, cy, 1.0));
     let name = FileName::new(name).ok()?;
     Some(View {
-        camera: Camera { name, width: WIDTH, height: HEIGHT, intrinsics, distortion: None },
+        camera: Camera { name, width: WIDTH, height: HEIGHT, intrinsics, lens: None },
         camera_from_world: DAffine3::from_mat3_translation(rotation, -(rotation * eye)),
     })
 }

@@ -60,6 +60,7 @@ fn frame(index: usize, has_cone: bool) -> Frame {
             token: format!("{index}{channel}"),
             channel,
             path: NOWHERE.into(),
+            row: None,
             t_us: t_us - early_us,
             global_from_ego: at(0.1 * index as f64 - early_us as f64 * 1e-6),
             ego_from_camera: Pose { rotation: turn * DQuat::from_mat3(&axes), translation: DVec3::Z * 1.5 },
@@ -72,6 +73,8 @@ fn frame(index: usize, has_cone: bool) -> Frame {
         global_from_ego,
         sweeps: vec![SweepRecord {
             path: NOWHERE.into(),
+            row: None,
+            row: None,
             t_us,
             global_from_ego,
             ego_from_lidar,

@@ -218,7 +218,7 @@ mod tests {
     fn state(x_m: f64) -> SceneState {
         let intrinsics =
             DMat3::from_cols(DVec3::new(3.0, 0.0, 0.0), DVec3::new(0.0, 3.0, 0.0), DVec3::new(3.0, 2.0, 1.0));
-        let camera = Camera { name: "a".parse().unwrap(), width: 6, height: 4, intrinsics, distortion: None };
+        let camera = Camera { name: "a".parse().unwrap(), width: 6, height: 4, intrinsics, lens: None };
         let scene = SceneCamera {
             view: View { camera, camera_from_world: DAffine3::IDENTITY },
             ego_from_camera: Some(Pose::from_yaw(0.0, DVec3::new(1.0, 2.0, 3.0))),

@@ -143,6 +143,7 @@ mod tests {
                 token: "i".into(),
                 channel: 0,
                 path: "i".into(),
+                row: None,
                 t_us: t_us - 20_000,
                 global_from_ego: Pose::IDENTITY,
                 ego_from_camera,

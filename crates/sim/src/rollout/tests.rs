@@ -48,7 +48,7 @@ impl Rasterizer for Failing<'_> {
 /// Returns a log of one second at 10 frames per second with one camera.
 fn log() -> Recording {
     let intrinsics = DMat3::from_cols(DVec3::X * 8.0, DVec3::Y * 8.0, DVec3::new(8.0, 4.0, 1.0));
-    let camera = Camera { name: "c".parse().unwrap(), width: 16, height: 8, intrinsics, distortion: None };
+    let camera = Camera { name: "c".parse().unwrap(), width: 16, height: 8, intrinsics, lens: None };
     let frame = |i: i64| Frame {
         t_us: i * 100_000,
         global_from_ego: Pose::from_yaw(0.0, DVec3::X * i as f64),

@@ -202,7 +202,7 @@ fn a_real_drive_is_replayed_exactly() {
     let scenario = Scenario {
         log: drive.recording(),
         map: None,
-        rates: Rates::of(&point_skeleton::dataset::nuscenes::FORMAT),
+        rates: Rates::of(&point_skeleton::dataset::nuscenes::FORMAT, drive.recording()),
     };
     assert_eq!(scenario.rates, Rates::NUSCENES);
     let mut sim = Simulation::new(&scenario, SimOptions { steps: 500, ..SimOptions::default() }).unwrap();

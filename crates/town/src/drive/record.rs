@@ -80,6 +80,7 @@ impl Recorder<'_> {
                 token: format!("{index:06}_{}", CAMERAS[rig.channel].channel),
                 channel: rig.channel,
                 path: file(CAMERAS[rig.channel].channel, t_us, "jpg"),
+                row: None,
                 t_us,
                 global_from_ego: self.global_from_ego(t_us),
                 ego_from_camera: rig.ego_from_camera,
@@ -105,6 +106,7 @@ impl Recorder<'_> {
         let ended = |t_us: &i64| *t_us == self.time_us(index) || *t_us - before_us >= turn_us.floor() as i64;
         let record = |at_us: i64| SweepRecord {
             path: file("LIDAR_TOP", at_us, "pcd.bin"),
+            row: None,
             t_us: at_us,
             global_from_ego: self.global_from_ego(at_us),
             ego_from_lidar: ego_from_lidar(),

@@ -228,7 +228,7 @@ mod tests {
         (of(64.0)..of(128.0)).for_each(check);
         (of(f32::EPSILON / 2.0)..of(765.0)).step_by(997).chain([of(0.0), of(765.0)]).for_each(check);
     }
-    use crate::geometry::{Camera, Distortion};
+    use crate::geometry::{Camera, LensModel};
     use crate::skeleton::Projector;
     use glam::DAffine3;
 
@@ -341,8 +341,8 @@ mod tests {
     fn recorded_images_are_sampled_through_their_lens() {
         let rows = [[700.0, 0.0, 800.0], [0.0, 705.0, 450.0], [0.0, 0.0, 1.0]];
         let pinhole = Camera::new("c", 1600, 900, rows).unwrap();
-        let distortion = Distortion::from_opencv([-0.28, 0.071, 0.0011, -0.0007, -0.0079]);
-        let camera = Camera { distortion, ..pinhole.clone() };
+        let lens = LensModel::from_opencv([-0.28, 0.071, 0.0011, -0.0007, -0.0079]);
+        let camera = Camera { lens, ..pinhole.clone() };
         let place = DAffine3::from_rotation_y(0.2) * DAffine3::from_translation(DVec3::new(3.0, 1.0, 2.0));
         let [bent, straight] =
             [camera, pinhole].map(|camera| View { camera, camera_from_world: place.inverse() });

@@ -24,14 +24,14 @@ struct Grey(Recording);
 impl Grey {
     fn new() -> Self {
         let intrinsics = DMat3::from_cols(DVec3::X * 8.0, DVec3::Y * 8.0, DVec3::new(8.0, 4.0, 1.0));
-        let camera =
-            Camera { name: "c".parse().unwrap(), width: 16, height: 8, intrinsics, distortion: None };
+        let camera = Camera { name: "c".parse().unwrap(), width: 16, height: 8, intrinsics, lens: None };
         let frame = |i: i64| {
             let (t_us, global_from_ego) = (i * 100_000, Pose::from_yaw(0.0, DVec3::X * i as f64));
             let image = ImageRecord {
                 token: "i".into(),
                 channel: 0,
                 path: PathBuf::new(),
+                row: None,
                 t_us,
                 global_from_ego,
                 ego_from_camera: Pose::IDENTITY,

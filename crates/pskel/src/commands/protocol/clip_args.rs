@@ -153,7 +153,7 @@ impl ClipProtocolArgs {
     ) -> anyhow::Result<usize> {
         let first = logs.first().context("expected a recording, found none")?;
         let log = logs::open_by(first, opener)?;
-        let rates = Rates::of(first.format);
+        let rates = Rates::of(first.format, log.recording());
         let images = images.map(|folder| Ok::<_, FileError>((folder.checksum()?, folder.options())));
         let images = images.transpose()?;
         let (generator, window) = if images.is_some() {

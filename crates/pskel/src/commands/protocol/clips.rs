@@ -103,7 +103,7 @@ impl Run<'_> {
         let log = source.recording();
         anyhow::ensure!(!self.logs.contains(&log.name), "expected each name once, found {} again", log.name);
         self.copy.as_ref().map_or(Ok(()), |copy| copy.check(log))?;
-        let rates = Rates::of(locator.format);
+        let rates = Rates::of(locator.format, log);
         self.parts.iter().try_for_each(|rollouts| rollouts.part.check_copy(log, rates))?;
         let skeleton = self.args.given.skeletons.skeletons.join(&log.name);
         if !skeleton.exists() {

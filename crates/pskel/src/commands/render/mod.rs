@@ -28,7 +28,7 @@ pub(crate) fn run(args: RenderArgs) -> anyhow::Result<()> {
     for (note, count) in log.notes.iter().filter(|(note, _)| note.contains("camera_distortion")) {
         warn(&format!("{count} {note}"));
     }
-    if args.distort && log.rig.iter().all(|rig| rig.camera.distortion.is_none()) {
+    if args.distort && log.rig.iter().all(|rig| rig.camera.lens.is_none()) {
         warn(&format!("--distort has no effect: log {} has no lens distortion", log.shown_name()));
     }
     let skeleton = args.source.open_skeleton(log)?;

@@ -57,7 +57,7 @@ pub(crate) fn rollout(args: SimulateArgs) -> anyhow::Result<String> {
     let inputs = args.inputs()?;
     let Inputs { log, skeleton, prompt, map, maps } = &inputs;
     let log = log.recording();
-    let scenario = Scenario { log, map: map.clone(), rates: Rates::of(args.source.log.format) };
+    let scenario = Scenario { log, map: map.clone(), rates: Rates::of(args.source.log.format, log) };
     let mut simulation = args.sim_options(&scenario)?;
     let rates = simulation.rates(scenario.rates, log).map_err(|error| usage(error.into()))?;
     let opened = Opened::open(&args.generator, &args.images, log, rates.plan_hz)?;

@@ -6,7 +6,7 @@ use crate::dataset::CategoryKind::{
 };
 
 /// Categories of the data set: `AnnotationCategories` of <https://github.com/argoverse/av2-api>.
-const CATEGORIES: [&str; 30] = [
+pub(in crate::dataset) const CATEGORIES: [&str; 30] = [
     "ANIMAL",
     "ARTICULATED_BUS",
     "BICYCLE",
@@ -45,7 +45,7 @@ const CATEGORIES: [&str; 30] = [
 ///
 /// Kinds follow `CategoryKind`, except that riders are pedestrians: they have boxes separate from their
 /// cycles.
-pub(super) fn dotted(category: &str) -> Option<String> {
+pub(in crate::dataset) fn dotted(category: &str) -> Option<String> {
     let upper = category.trim().to_uppercase().replace([' ', '-'], "_");
     if !CATEGORIES.contains(&upper.as_str()) {
         return CategoryKind::of(category).map(|_| category.to_owned());
@@ -68,7 +68,7 @@ pub(super) fn dotted(category: &str) -> Option<String> {
 }
 
 /// Returns the dotted name of a category with an unknown name.
-pub(super) fn unknown(category: &str) -> String {
+pub(in crate::dataset) fn unknown(category: &str) -> String {
     format!("object.{}", category.to_lowercase())
 }
 

@@ -13,14 +13,14 @@ use arrow_schema::DataType;
 use crate::error::FileError;
 
 /// Column of a table, in batches.
-pub(super) struct Column<'a> {
+pub(in crate::dataset) struct Column<'a> {
     name: String,
     parts: Vec<&'a ArrayRef>,
     path: &'a Path,
 }
 
 impl<'a> Column<'a> {
-    pub(super) fn new(name: String, parts: Vec<&'a ArrayRef>, path: &'a Path) -> Self {
+    pub(in crate::dataset) fn new(name: String, parts: Vec<&'a ArrayRef>, path: &'a Path) -> Self {
         Self { name, parts, path }
     }
 
@@ -28,7 +28,7 @@ impl<'a> Column<'a> {
     ///
     /// # Errors
     /// Fails if values have another type or are null.
-    pub(super) fn numbers(&self) -> Result<Vec<f64>, FileError> {
+    pub(in crate::dataset) fn numbers(&self) -> Result<Vec<f64>, FileError> {
         self.parts()?;
         self.numbers_or_nan()
     }
@@ -37,7 +37,7 @@ impl<'a> Column<'a> {
     ///
     /// # Errors
     /// Fails if values have another type.
-    pub(super) fn numbers_or_nan(&self) -> Result<Vec<f64>, FileError> {
+    pub(in crate::dataset) fn numbers_or_nan(&self) -> Result<Vec<f64>, FileError> {
         let mut values = Vec::new();
         for part in &self.parts {
             let before = values.len();
@@ -56,7 +56,7 @@ impl<'a> Column<'a> {
     ///
     /// # Errors
     /// Fails if values have another type, are null or do not fit into `i64`.
-    pub(super) fn integers(&self) -> Result<Vec<i64>, FileError> {
+    pub(in crate::dataset) fn integers(&self) -> Result<Vec<i64>, FileError> {
         let (mut values, mut too_much) = (Vec::new(), None);
         for part in self.parts()? {
             let narrow = |wide: i128| {
@@ -80,7 +80,7 @@ impl<'a> Column<'a> {
     ///
     /// # Errors
     /// Fails as [`Column::integers`], or if a value is out of range.
-    pub(super) fn counts(&self) -> Result<Vec<u32>, FileError> {
+    pub(in crate::dataset) fn counts(&self) -> Result<Vec<u32>, FileError> {
         let count = |value: i64| {
             let found = || format!("{value} in column {}", self.name);
             u32::try_from(value)
@@ -90,7 +90,7 @@ impl<'a> Column<'a> {
     }
 
     /// Returns whole numbers from 0 to 2³² − 1 of any type; `None` for other values.
-    pub(super) fn known_counts(&self) -> Vec<Option<u32>> {
+    pub(in crate::dataset) fn known_counts(&self) -> Vec<Option<u32>> {
         let mut values = Vec::new();
         for part in &self.parts {
             let mut numbers = Vec::new();
@@ -109,7 +109,7 @@ impl<'a> Column<'a> {
     ///
     /// # Errors
     /// Fails if values have another type or are null.
-    pub(super) fn texts(&self) -> Result<Vec<&'a str>, FileError> {
+    pub(in crate::dataset) fn texts(&self) -> Result<Vec<&'a str>, FileError> {
         let mut values = Vec::new();
         for part in self.parts()? {
             match part.data_type() {
@@ -140,6 +140,11 @@ impl<'a> Column<'a> {
         Ok(numbers.into_iter().map(|number| number as i64).collect())
     }
 
+    /// The batches.
+    pub(super) fn all(&self) -> &[&'a ArrayRef] {
+        &self.parts
+    }
+
     /// Returns the batches after checking that they contain no nulls.
     fn parts(&self) -> Result<&[&'a ArrayRef], FileError> {
         match self.parts.iter().map(|p| p.null_count()).sum::<usize>() {
@@ -155,14 +160,18 @@ impl<'a> Column<'a> {
         }
     }
 
-    fn wrong_type(&self, expected: &str, found: &DataType) -> FileError {
-        let expected = format!("{expected} in column {}", self.name);
-        FileError::content(expected, format!("type {found}"), self.path)
+    pub(super) fn wrong_type(&self, expected: &str, found: &DataType) -> FileError {
+        self.wrong(expected.to_owned(), format!("type {found}"))
+    }
+
+    /// Creates an error about the column.
+    pub(in crate::dataset) fn wrong(&self, expected: String, found: String) -> FileError {
+        FileError::content(format!("{expected} in column {}", self.name), found, self.path)
     }
 }
 
 /// Appends numbers of any type. Returns `false` for values of other types.
-fn extend_numbers(values: &mut Vec<f64>, part: &dyn Array) -> bool {
+pub(super) fn extend_numbers(values: &mut Vec<f64>, part: &dyn Array) -> bool {
     match part.data_type() {
         DataType::Float16 => extend::<Float16Type, _>(values, part, f64::from),
         DataType::Float32 => extend::<Float32Type, _>(values, part, f64::from),
@@ -173,7 +182,11 @@ fn extend_numbers(values: &mut Vec<f64>, part: &dyn Array) -> bool {
 }
 
 /// Appends integers of any width, converted by `to`. Returns `false` for values of other types.
-fn extend_integers<T>(values: &mut Vec<T>, part: &dyn Array, mut to: impl FnMut(i128) -> T) -> bool {
+pub(super) fn extend_integers<T>(
+    values: &mut Vec<T>,
+    part: &dyn Array,
+    mut to: impl FnMut(i128) -> T,
+) -> bool {
     match part.data_type() {
         DataType::Int8 => extend::<Int8Type, _>(values, part, |v| to(v.into())),
         DataType::Int16 => extend::<Int16Type, _>(values, part, |v| to(v.into())),

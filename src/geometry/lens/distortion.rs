@@ -16,6 +16,9 @@ pub struct Distortion {
     pub k3: f64,
 }
 
+/// No image reaches beyond this squared radius: the angle from the axis exceeds 89.9 degrees.
+pub(super) const FARTHEST_R2: f64 = 1e6;
+
 impl Distortion {
     /// Creates the model from OpenCV's order `k1 k2 p1 p2 k3`; `None` if all are zero (no distortion).
     pub fn from_opencv([k1, k2, p1, p2, k3]: [f64; 5]) -> Option<Self> {
@@ -39,11 +42,11 @@ impl Distortion {
     }
 
     /// Returns the model with precomputed values, for distorting many points.
-    pub fn lens(&self) -> Lens {
-        Lens { distortion: *self, limit_r2: self.turning_r2() }
+    pub fn lens(&self) -> BrownConradyLens {
+        BrownConradyLens { distortion: *self, limit_r2: self.turning_r2() }
     }
 
-    /// Distorts a point of the plane at depth 1; see [`Lens::distort`].
+    /// Distorts a point of the plane at depth 1; see [`BrownConradyLens::distort`].
     pub fn distort(&self, ideal: DVec2) -> Option<DVec2> {
         self.lens().distort(ideal)
     }
@@ -54,14 +57,12 @@ impl Distortion {
     }
 
     /// Returns the smallest `r²` at which the slope is no longer positive; infinite if there is none.
-    fn turning_r2(&self) -> f64 {
+    pub(super) fn turning_r2(&self) -> f64 {
         // Between two extrema, the slope has at most one zero.
         let (a, b, c) = (21.0 * self.k3, 10.0 * self.k2, 3.0 * self.k1);
         let root = (b * b - 4.0 * a * c).sqrt();
         let mut ends = [(-b - root) / (2.0 * a), (-b + root) / (2.0 * a), -c / b];
         ends.sort_by(f64::total_cmp);
-        // No image reaches beyond this: the angle from the axis exceeds 89.9 degrees.
-        const FARTHEST_R2: f64 = 1e6;
         let mut start = 0.0;
         for end in ends.into_iter().filter(|r2| (0.0..FARTHEST_R2).contains(r2)).chain([FARTHEST_R2]) {
             if self.slope(end) <= 0.0 {
@@ -86,13 +87,13 @@ impl Distortion {
 
 /// [`Distortion`] prepared for many points.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Lens {
+pub struct BrownConradyLens {
     distortion: Distortion,
     /// Squared radius beyond which the polynomial is no longer monotonic.
     limit_r2: f64,
 }
 
-impl Lens {
+impl BrownConradyLens {
     /// Distorts a point of the plane at depth 1, as OpenCV's `projectPoints`. Returns `None` beyond the
     /// radius at which the polynomial stops growing: no ray from there reaches the image.
     pub fn distort(&self, ideal: DVec2) -> Option<DVec2> {
@@ -111,7 +112,7 @@ impl Lens {
         ideal * radial + tangential
     }
 
-    /// Jacobian of [`Lens::polynomial`].
+    /// Jacobian of [`BrownConradyLens::polynomial`].
     fn jacobian(&self, ideal: DVec2) -> DMat2 {
         let Distortion { k1, k2, p1, p2, k3 } = self.distortion;
         let (DVec2 { x, y }, r2) = (ideal, ideal.length_squared());
@@ -124,7 +125,7 @@ impl Lens {
         )
     }
 
-    /// Inverts [`Lens::distort`] to within 10⁻¹² focal lengths. Returns `None` if Newton's method finds no
+    /// Inverts [`BrownConradyLens::distort`] to within 10⁻¹² focal lengths. Returns `None` if Newton's method finds no
     /// point that the lens maps to `seen`.
     pub fn undistort(&self, seen: DVec2) -> Option<DVec2> {
         const STEPS: u32 = 50;
@@ -156,7 +157,7 @@ impl Lens {
 mod tests {
     use super::*;
 
-    fn lens(coefficients: [f64; 5]) -> Lens {
+    fn lens(coefficients: [f64; 5]) -> BrownConradyLens {
         Distortion::from_opencv(coefficients).unwrap().lens()
     }
 

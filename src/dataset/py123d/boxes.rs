@@ -1,0 +1,213 @@
+//! `box_detections_se3.arrow`: boxes of actors by frame.
+
+use std::borrow::Cow;
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use glam::DVec3;
+use rustc_hash::FxHashMap;
+
+use super::labels::{self, Labels};
+use super::metadata::{self, BoxMetadata};
+use super::sync::Sync;
+use crate::dataset::recording::notes::{
+    FLAT_BOX, NO_ANNOTATIONS, Notes, UNKNOWN_POINTS, note, note_unknown_category,
+};
+use crate::dataset::tables::ArrowFile;
+use crate::dataset::{BoxPoints, Class, DatasetError, Gap, Track, TrackBox};
+use crate::error::FileError;
+use crate::files::input::is_there;
+use crate::geometry::{Cuboid, Pose};
+
+pub(super) const KEY: &str = "box_detections_se3";
+
+/// Kind of a gap: a second box of a track in one frame.
+const TWICE: &str = "boxes of a track that has another one in the frame";
+
+/// Tracks, and per frame the boxes with their stated number of LiDAR points.
+#[derive(Default)]
+pub(super) struct Boxes {
+    /// Sorted by id.
+    pub(super) tracks: Vec<Track>,
+    /// Sorted by track.
+    pub(super) frames: Vec<Vec<TrackBox>>,
+    /// In the order of `frames`; `None` if the table has no such numbers.
+    pub(super) points: Option<BoxPoints>,
+}
+
+/// Reads the boxes of frames, given by their rows in `sync`.
+///
+/// # Errors
+/// Fails if the table is damaged, or a box is invalid.
+pub(super) fn read(
+    log: &Path,
+    sync: &Sync,
+    frames: &[usize],
+    notes: &mut Notes,
+) -> Result<Boxes, DatasetError> {
+    let path = log.join(format!("{KEY}.arrow"));
+    if !is_there(&path)? {
+        notes.gap(Gap::record(NO_ANNOTATIONS, "frames are without actors", log));
+        return Ok(Boxes { frames: vec![Vec::new(); frames.len()], ..Boxes::default() });
+    }
+    let file = ArrowFile::map(&path)?;
+    let about: BoxMetadata = metadata::read(&file)?;
+    let rows = sync.rows(KEY, file.rows())?;
+    let mut frame_of: FxHashMap<usize, Vec<usize>> = FxHashMap::default();
+    for (frame, row) in frames.iter().enumerate().filter_map(|(frame, i)| Some((frame, rows[*i]?))) {
+        frame_of.entry(row).or_default().push(frame);
+    }
+    let unused = (0..file.rows() as usize).filter(|row| !frame_of.contains_key(row)).count();
+    note(notes, "rows of boxes that belong to no frame", unused);
+    let mut reader = Reader {
+        labels: Labels::of_class(&about.box_detection_label_class),
+        class: about.box_detection_label_class,
+        path,
+        tracks: FxHashMap::default(),
+        first_labels: Vec::new(),
+        frames: vec![Vec::new(); frames.len()],
+        unknown: BTreeMap::new(),
+        notes,
+    };
+    let mut first = 0;
+    for batch in 0..file.batches() {
+        first += reader.batch(&file, batch, first, &frame_of)?;
+    }
+    Ok(reader.finish())
+}
+
+/// Box of a track that is not yet sorted.
+#[derive(Clone, Copy)]
+struct Item {
+    track: usize,
+    cuboid: Cuboid,
+    points: Option<u32>,
+}
+
+struct Reader<'a> {
+    labels: Labels,
+    class: String,
+    path: PathBuf,
+    /// Number of a track in the order of appearance.
+    tracks: FxHashMap<String, usize>,
+    /// Label of the first box of each track.
+    first_labels: Vec<u16>,
+    frames: Vec<Vec<Item>>,
+    /// Number of boxes by unknown label.
+    unknown: BTreeMap<u16, usize>,
+    notes: &'a mut Notes,
+}
+
+impl Reader<'_> {
+    /// Reads a batch whose first row has a number; returns its number of rows.
+    fn batch(
+        &mut self,
+        file: &ArrowFile,
+        batch: usize,
+        first: usize,
+        frame_of: &FxHashMap<usize, Vec<usize>>,
+    ) -> Result<usize, DatasetError> {
+        let name = |column: &str| format!("{KEY}.{column}");
+        let [se3, token, label] = [name("bounding_box_se3"), name("track_token"), name("label")];
+        let points = name("num_lidar_points");
+        let table = file.batch(batch, &[&se3, &token, &label], &[&points])?;
+        let boxes = table.column(&se3)?.vector_lists::<10>()?;
+        let (tokens, labels) = (table.column(&token)?.text_lists()?, table.column(&label)?.integer_lists()?);
+        let points = if table.has(&points) { Some(table.column(&points)?.integer_lists()?) } else { None };
+        for (i, boxes) in boxes.iter().enumerate() {
+            let Some(frames) = frame_of.get(&(first + i)) else { continue };
+            let points = points.as_ref().map_or(&[][..], |all| &all[i]);
+            if tokens[i].len() != boxes.len() || labels[i].len() != boxes.len() {
+                let found = format!("lists of {}, {} and {}", boxes.len(), tokens[i].len(), labels[i].len());
+                let expected = format!("a box, a token and a label of each actor in row {}", first + i);
+                return Err(FileError::content(expected, found, &self.path).into());
+            }
+            for (place, values) in boxes.iter().enumerate() {
+                let record = format!("box {place} of row {}", first + i);
+                let points = points.get(place).copied().flatten().and_then(|n| u32::try_from(n).ok());
+                let item =
+                    self.item(*values, tokens[i][place].as_deref(), labels[i][place], points, &record)?;
+                if let Some(item) = item {
+                    frames.iter().for_each(|frame| self.frames[*frame].push(item));
+                }
+            }
+        }
+        Ok(table.rows())
+    }
+
+    /// Converts a box; `None` if it is not one of an actor.
+    fn item(
+        &mut self,
+        values: Option<[f64; 10]>,
+        token: Option<&str>,
+        label: Option<i64>,
+        points: Option<u32>,
+        record: &str,
+    ) -> Result<Option<Item>, DatasetError> {
+        let missing = |what: &str| FileError::content(format!("{what} in {record}"), "none", &self.path);
+        let [x, y, z, qw, qx, qy, qz, length, width, height] = values.ok_or_else(|| missing("a box"))?;
+        let token = token.ok_or_else(|| missing("a track token"))?;
+        let label = label.and_then(|label| u16::try_from(label).ok()).ok_or_else(|| missing("a label"))?;
+        if self.labels.is_ego(label) {
+            note(self.notes, "boxes of the ego (left out)", 1);
+            return Ok(None);
+        }
+        let path = || self.path.clone();
+        let pose = Pose::from_wxyz([qw, qx, qy, qz], [x, y, z]).map_err(|source| DatasetError::Pose {
+            source,
+            record: record.to_owned(),
+            path: path(),
+        })?;
+        let cuboid = Cuboid::unless_flat(pose, DVec3::new(length, width, height))
+            .map_err(|source| DatasetError::Cuboid { source, record: record.to_owned(), path: path() })?;
+        let Some(cuboid) = cuboid else {
+            self.notes.gap(Gap::record(FLAT_BOX, record, &self.path));
+            return Ok(None);
+        };
+        if self.labels.category(label).is_none() {
+            *self.unknown.entry(label).or_default() += 1;
+        }
+        let next = self.tracks.len();
+        let track = *self.tracks.entry(token.to_owned()).or_insert(next);
+        if track == next {
+            self.first_labels.push(label);
+        }
+        Ok(Some(Item { track, cuboid, points }))
+    }
+
+    /// Sorts tracks and boxes.
+    fn finish(self) -> Boxes {
+        let Self { labels, class, path, tracks, first_labels, frames, unknown, notes } = self;
+        for (label, boxes) in unknown {
+            note_unknown_category(notes, &format!("{label} of {class}"), boxes);
+        }
+        let mut tokens: Vec<(String, usize)> = tracks.into_iter().collect();
+        tokens.sort();
+        let mut place = vec![0; tokens.len()];
+        tokens.iter().enumerate().for_each(|(sorted, (_, track))| place[*track] = sorted);
+        let track = |(id, track): (String, usize)| {
+            let category = labels.category(first_labels[track]).unwrap_or_else(labels::unknown);
+            Track { id, class: Class::from_category(&category), category: Cow::into_owned(category) }
+        };
+        let tracks: Vec<Track> = tokens.into_iter().map(track).collect();
+        let (mut sorted, mut points) = (Vec::with_capacity(frames.len()), Vec::with_capacity(frames.len()));
+        for mut items in frames {
+            items.iter_mut().for_each(|item| item.track = place[item.track]);
+            items.sort_by_key(|item| item.track);
+            items.dedup_by(|later, first| {
+                let is_second = later.track == first.track;
+                if is_second {
+                    notes.gap(Gap::record(TWICE, format!("track {}", tracks[first.track].id), &path));
+                }
+                is_second
+            });
+            sorted
+                .push(items.iter().map(|item| TrackBox { track: item.track, cuboid: item.cuboid }).collect());
+            points.push(items.iter().map(|item| item.points).collect::<Vec<_>>());
+        }
+        let missing = points.iter().flatten().filter(|points| points.is_none()).count();
+        let is_known = points.iter().flatten().any(Option::is_some);
+        note(notes, UNKNOWN_POINTS, if is_known { missing } else { 0 });
+        Boxes { tracks, frames: sorted, points: is_known.then_some(points) }
+    }
+}

@@ -1,0 +1,154 @@
+//! The same recordings through other readers.
+
+use std::collections::BTreeMap;
+
+use point_skeleton::dataset::{ImageRecord, LogLocator, LogReader, Recording, av2, nuplan, nuscenes, open};
+use point_skeleton::geometry::Pose;
+use pskel_testing::shared::shared;
+
+use super::open_recorded;
+
+fn other(format: &'static point_skeleton::dataset::LogFormat, path: &str) -> Box<dyn LogReader> {
+    let path = shared("a recording").unwrap().join("data").join(path);
+    open(&LogLocator::new(format, path)).unwrap()
+}
+
+/// Largest difference of two poses: meters, and half radians.
+fn apart(a: &Pose, b: &Pose) -> f64 {
+    let turned = if a.rotation.dot(b.rotation) < 0.0 { -b.rotation } else { b.rotation };
+    (a.translation - b.translation).length().max((a.rotation - turned).length())
+}
+
+/// Boxes by frame and track, with the category.
+fn boxes(log: &Recording) -> Vec<BTreeMap<&str, (&str, [f64; 3], [f64; 3], f64)>> {
+    let of = |item: &point_skeleton::dataset::TrackBox| {
+        let (track, cuboid) = (&log.tracks[item.track], &item.cuboid);
+        let [center, size] = [cuboid.pose.translation, cuboid.size].map(|v| v.to_array());
+        (track.id.as_str(), (track.category.as_str(), center, size, cuboid.pose.yaw_rad()))
+    };
+    log.frames.iter().map(|frame| frame.boxes.iter().map(of).collect()).collect()
+}
+
+fn images(log: &Recording) -> BTreeMap<&std::path::Path, &ImageRecord> {
+    let all = log.frames.iter().flat_map(|frame| &frame.images);
+    all.map(|image| (image.path.as_path(), image)).collect()
+}
+
+#[test]
+fn nuscenes_is_the_same() {
+    let Some(reader) = open_recorded("nuscenes-paths", "nuscenes") else { return };
+    let other = other(&nuscenes::FORMAT, "pandaset-002/nuscenes");
+    let (ours, theirs) = (reader.recording(), other.recording());
+    assert_eq!(ours.frames.len(), 38);
+    assert_eq!(boxes(ours), boxes(theirs));
+    assert_eq!(reader.box_points(), other.box_points());
+    let (seen, known) = (images(ours), images(theirs));
+    assert_eq!(seen.keys().collect::<Vec<_>>(), known.keys().collect::<Vec<_>>());
+    for (a, b) in seen.values().zip(known.values()) {
+        assert_eq!((a.t_us, a.camera.intrinsics), (b.t_us, b.camera.intrinsics));
+        let [a, b] = [a, b].map(|image| image.global_from_ego * image.ego_from_camera);
+        assert!(apart(&a, &b) < 2e-13, "{}", apart(&a, &b));
+    }
+    for (a, b) in ours.frames.iter().zip(&theirs.frames) {
+        assert_eq!((a.t_us, &a.global_from_ego, a.sweeps.len()), (b.t_us, &b.global_from_ego, 1));
+        let (sweep, known) = (&a.sweeps[0], &b.sweeps[0]);
+        assert_eq!(
+            (&sweep.path, sweep.t_us, sweep.global_from_ego),
+            (&known.path, known.t_us, known.global_from_ego)
+        );
+        assert!(apart(&sweep.ego_from_lidar, &known.ego_from_lidar) < 1e-13);
+        assert_eq!(a.images.len(), b.images.len());
+    }
+    let first = &ours.frames[0].sweeps[0];
+    assert_eq!(reader.read_sweep(first).unwrap(), other.read_sweep(&theirs.frames[0].sweeps[0]).unwrap());
+    let (map, known) = (reader.read_map().unwrap().unwrap(), other.read_map().unwrap().unwrap());
+    assert_eq!(
+        (map.lanes.len(), map.lane_connectors.len()),
+        (known.lanes.len(), known.lane_connectors.len())
+    );
+    assert_eq!(map.crossings, known.crossings);
+    assert_eq!((map.walkways.len(), known.walkways.len()), (8, 0)); // not read from the tables of nuScenes
+    assert_eq!(map.stop_lines, known.stop_lines);
+    assert_eq!(map.drivable_area, known.drivable_area);
+}
+
+#[test]
+fn nuplan_is_the_same_but_for_the_shutter() {
+    let Some(reader) = open_recorded("nuplan-paths", "nuplan") else { return };
+    let other = other(
+        &nuplan::FORMAT,
+        "pandaset-002/nuplan/nuplan-v1.1/splits/mini/2020.01.01.00.00.00_veh-02_00000_00079.db",
+    );
+    let (ours, theirs) = (reader.recording(), other.recording());
+    let times = |log: &Recording| log.frames.iter().map(|frame| frame.t_us).collect::<Vec<_>>();
+    assert_eq!(times(ours), times(theirs));
+    assert_eq!(boxes(ours).len(), 38);
+    for (a, b) in boxes(ours).iter().zip(boxes(theirs)) {
+        assert!(a.keys().eq(b.keys()) && a.values().map(|a| (a.0, a.2)).eq(b.values().map(|b| (b.0, b.2))));
+    }
+    for (a, b) in ours.frames.iter().zip(&theirs.frames) {
+        assert!((a.global_from_ego.translation - b.global_from_ego.translation).length() < 1e-3);
+    }
+    let sweeps = |log: &Recording| log.frames.iter().map(|f| f.sweeps.len()).sum::<usize>();
+    assert_eq!(sweeps(ours), 6);
+    // Six sweeps and their 36 images were written; three of the images before the interval of their frame.
+    let (seen, known) = (images(ours), images(theirs));
+    assert_eq!(seen.len(), 36);
+    for (path, image) in seen {
+        let known = known[path];
+        // py123d takes the ego pose a sixtieth of a second later.
+        let [a, b] = [image, known].map(|image| image.global_from_ego * image.ego_from_camera);
+        assert!((a.translation - b.translation).length() < 0.12, "{}", path.display());
+    }
+    let lights = |log: &Recording| {
+        let mut lights: Vec<_> =
+            log.lights.iter().map(|l| (l.frame, l.lane_connector.clone(), l.color.clone())).collect();
+        lights.sort();
+        lights
+    };
+    assert_eq!(lights(ours), lights(theirs));
+    let (map, known) = (reader.read_map().unwrap().unwrap(), other.read_map().unwrap().unwrap());
+    let counts = |map: &point_skeleton::dataset::VectorMap| {
+        let areas = [&map.drivable_area, &map.crossings, &map.stop_lines, &map.walkways].map(Vec::len);
+        (map.lanes.len(), map.lane_connectors.len(), areas)
+    };
+    assert_eq!(counts(&map), counts(&known));
+    assert_eq!(map.drivable_area.len(), 10);
+}
+
+#[test]
+fn argoverse_has_the_pose_at_the_time_of_the_sweep() {
+    let Some(reader) = open_recorded("av2-laz", "av2-sensor") else { return };
+    let other = other(&av2::FORMAT, "av2");
+    let (ours, theirs) = (reader.recording(), other.recording());
+    assert_eq!(ours.frames.len(), 16);
+    let known: BTreeMap<i64, _> = theirs.frames.iter().map(|frame| (frame.t_us, frame)).collect();
+    let (found, expected) = (boxes(ours), boxes(theirs));
+    for (i, frame) in ours.frames.iter().enumerate() {
+        // Nanoseconds are cut off, or rounded through floats.
+        let (place, known) = (frame.t_us - 1..=frame.t_us + 1)
+            .find_map(|t_us| {
+                Some((theirs.frames.iter().position(|frame| frame.t_us == t_us)?, known.get(&t_us)?))
+            })
+            .unwrap();
+        let offset = (frame.global_from_ego.translation - known.global_from_ego.translation).length();
+        assert!(offset < 1e-5, "{offset}");
+        assert!(found[i].keys().eq(expected[place].keys()));
+        for (a, b) in found[i].values().zip(expected[place].values()) {
+            assert_eq!(a.0, b.0);
+            assert!(
+                (0..3)
+                    .all(|axis| (a.1[axis] - b.1[axis]).abs() < 0.01 && (a.2[axis] - b.2[axis]).abs() < 1e-6)
+            );
+        }
+    }
+    let (map, known) = (reader.read_map().unwrap().unwrap(), other.read_map().unwrap().unwrap());
+    assert_eq!(
+        (map.lanes.len(), map.lane_connectors.len()),
+        (known.lanes.len(), known.lane_connectors.len())
+    );
+    assert_eq!(
+        (map.crossings.len(), map.drivable_area.len()),
+        (known.crossings.len(), known.drivable_area.len())
+    );
+}
