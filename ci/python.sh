@@ -19,11 +19,15 @@ devkit=('numpy<2' shapely geopandas 'SQLAlchemy==1.4.27' pyquaternion scipy open
     joblib pillow matplotlib rasterio aioboto3 requests)
 # So does the development kit of nuScenes.
 nuscenes=('nuscenes-devkit==1.2.0')
+# So does py123d, which writes logs. It has twice as many dependencies as its writers import: these are installed alone.
+py123d=(py123d==0.7.0)
+imported=(numpy pyarrow pandas scipy shapely trimesh networkx pyquaternion opencv-python-headless DracoPy laspy cachetools tqdm
+    psutil pillow typing-extensions ray)
 
 scratch=$(mktemp -d)
 trap 'rm -rf "$scratch"' EXIT
 folder=$(realpath -m "${CARGO_TARGET_DIR:-target}/python")
-stamp=$(python3 --version; printf '%s\n' "${packages[@]}" "${torch[@]}" "${optional[@]}" "${devkit[@]}" "${nuscenes[@]}")
+stamp=$(python3 --version; printf '%s\n' "${packages[@]}" "${torch[@]}" "${optional[@]}" "${devkit[@]}" "${nuscenes[@]}" "${py123d[@]}" "${imported[@]}")
 install() { "$folder/$1/bin/pip" install --quiet --disable-pip-version-check "${@:2}"; }
 
 if [ "$(cat "$folder/installed" 2>/dev/null)" != "$stamp" ]; then
@@ -42,6 +46,8 @@ if [ "$(cat "$folder/installed" 2>/dev/null)" != "$stamp" ]; then
     install devkit "${devkit[@]}" || rm -rf "$folder/devkit"
     python3 -m venv "$folder/nuscenes"
     install nuscenes "${nuscenes[@]}" || rm -rf "$folder/nuscenes"
+    python3 -m venv "$folder/py123d"
+    { install py123d "${imported[@]}" && install py123d --no-deps "${py123d[@]}"; } || rm -rf "$folder/py123d"
     [ -z "$complete" ] || printf '%s\n' "$stamp" >"$folder/installed" # else the next run tries again
 fi
 
@@ -51,6 +57,7 @@ if [ -d "${PSKEL_SHARED:-../shared}/interop/nuplan-devkit" ] && [ -d "$folder/de
     export PSKEL_DEVKIT_PYTHON="$folder/devkit/bin/python"
 fi
 [ ! -d "$folder/nuscenes" ] || export PSKEL_NUSCENES_PYTHON="$folder/nuscenes/bin/python"
+[ ! -d "$folder/py123d" ] || export PSKEL_PY123D_PYTHON="$folder/py123d/bin/python"
 export PSKEL_VALIDATION=1
 # Two processes, each with the tests of a file after another: many tests wait for processes of their own.
 export OMP_NUM_THREADS=1
