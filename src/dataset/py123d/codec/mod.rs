@@ -7,7 +7,9 @@
 //! decoded.
 //! - `ipc`: an Arrow IPC stream, uncompressed or with LZ4 or Zstandard; lossless.
 //! - `laz`: a LAS file compressed by LASzip; positions are integers times a step.
+//! - `draco`: a Draco point cloud; positions are integers times a step that the extent of the cloud decides.
 
+mod draco;
 mod feature;
 mod ipc;
 mod laz;
@@ -55,6 +57,22 @@ impl Points {
             _ => Err(format!("a feature {name}")),
         }
     }
+
+    /// Fails unless every feature has a value per point.
+    fn check_lengths(&self) -> Result<(), String> {
+        let lengths = [
+            ("intensity", self.intensity.as_ref().map(Vec::len)),
+            ("ids", self.ids.as_ref().map(Vec::len)),
+            ("channel", self.channel.as_ref().map(Vec::len)),
+        ];
+        let points = self.xyz.len();
+        match lengths.into_iter().find(|(_, length)| length.is_some_and(|n| n != points)) {
+            Some((name, length)) => {
+                Err(format!("{} values of {name} for {points} points", length.unwrap_or(0)))
+            }
+            None => Ok(()),
+        }
+    }
 }
 
 /// Returns whether a feature of this name is read.
@@ -81,7 +99,7 @@ pub(in crate::dataset::py123d) enum Codec {
 impl Codec {
     /// Returns the codec of a cell by its first bytes.
     pub(in crate::dataset::py123d) fn of(bytes: &[u8]) -> Option<Self> {
-        let magics = [(ipc::MARKER, Self::Ipc), (b"LASF", Self::Laz), (b"DRACO", Self::Draco)];
+        let magics = [(ipc::MARKER, Self::Ipc), (b"LASF", Self::Laz), (draco::MAGIC, Self::Draco)];
         magics.into_iter().find(|(magic, _)| bytes.starts_with(magic)).map(|(_, codec)| codec)
     }
 
@@ -100,11 +118,13 @@ impl Codec {
 /// # Errors
 /// Returns a description of the content if it has no known codec, or is damaged.
 pub(in crate::dataset::py123d) fn decode(bytes: &[u8]) -> Result<Points, String> {
-    match known(bytes)? {
+    let points = match known(bytes)? {
         Codec::Ipc => ipc::decode(bytes),
         Codec::Laz => laz::decode(bytes),
-        codec => Err(codec.name().to_owned()),
-    }
+        Codec::Draco => draco::decode(bytes),
+    }?;
+    points.check_lengths()?;
+    Ok(points)
 }
 
 /// Returns the number of points of a cell, after decoding it. A cell is a value of column `data` in a LiDAR
@@ -129,7 +149,7 @@ pub(in crate::dataset::py123d) fn declared_points(bytes: &[u8]) -> Result<u64, S
     match known(bytes)? {
         Codec::Ipc => ipc::declared_points(bytes),
         Codec::Laz => laz::declared_points(bytes),
-        codec => Err(codec.name().to_owned()),
+        Codec::Draco => draco::declared_points(bytes),
     }
 }
 
