@@ -23,7 +23,7 @@ def main():
     readme = (ROOT / "README.md").read_text()
     errors = list(difflib.unified_diff(example(readme), example(page), "README.md", "src/lib.rs", lineterm=""))
     features = re.search(r"^\[features\]\n(.*?)\n\n", (ROOT / "Cargo.toml").read_text(), flags=re.S | re.M).group(1)
-    declared = set(re.findall(r"^(\w+) = ", features, flags=re.M)) - {"default"}
+    declared = set(re.findall(r'^"?(\w+)"? = ', features, flags=re.M)) - {"default"}
     listed = set(re.findall(r"^\| `(\w+)` \|", page, flags=re.M))
     errors += [f"src/lib.rs: expected the features {sorted(declared)}, found {sorted(listed)}"] if declared != listed else []
     lines = readme.count("\n")

@@ -31,7 +31,6 @@ CAMERAS = {
     "CAM_BACK_LEFT": "PCAM_L1",
     "CAM_FRONT_LEFT": "PCAM_L0",
 }
-Floats = npt.NDArray[np.float64]
 
 pytestmark = pytest.mark.skipif(PYTHON is None, reason="needs PSKEL_PY123D_PYTHON")
 
