@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use memmap2::Mmap;
+use memmap2::{Advice, Mmap};
 
 use crate::error::FileError;
 use crate::files::input::open_regular;
@@ -32,6 +32,19 @@ impl MappedFile {
         mapped.map(|map| Self(Some(map))).map_err(FileError::io("map", path))
     }
 
+    /// Maps a file as [`MappedFile::open`], of which small parts far from each other are read: the operating system
+    /// then reads nothing in advance.
+    ///
+    /// # Errors
+    /// Fails as [`MappedFile::open`].
+    pub fn open_sparse(path: &Path) -> Result<Self, FileError> {
+        let mapped = Self::open(path)?;
+        if let Some(map) = &mapped.0 {
+            map.advise(Advice::Random).map_err(FileError::io("map", path))?;
+        }
+        Ok(mapped)
+    }
+
     /// Returns the contents.
     pub fn as_bytes(&self) -> &[u8] {
         self.0.as_deref().unwrap_or_default()
@@ -54,6 +67,7 @@ mod tests {
         let path = folder.path().join("a.bin");
         std::fs::write(&path, [1, 2, 3]).unwrap();
         assert_eq!(MappedFile::open(&path).unwrap().as_bytes(), [1, 2, 3]);
+        assert_eq!(MappedFile::open_sparse(&path).unwrap().as_bytes(), [1, 2, 3]);
         std::fs::write(folder.path().join("empty"), []).unwrap();
         assert!(MappedFile::open(&folder.path().join("empty")).unwrap().as_bytes().is_empty());
     }

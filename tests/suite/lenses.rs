@@ -208,6 +208,7 @@ impl Room {
             token: String::new(),
             channel: 0,
             path: "image".into(),
+            row: None,
             t_us: 0,
             global_from_ego: pose,
             ego_from_camera: pose,
@@ -215,6 +216,7 @@ impl Room {
         };
         let sweep = SweepRecord {
             path: "sweep".into(),
+            row: None,
             t_us: 0,
             global_from_ego: pose,
             ego_from_lidar: pose,

@@ -50,7 +50,7 @@ pub(super) fn read(
         notes.gap(Gap::record(NO_ANNOTATIONS, "frames are without actors", log));
         return Ok(Boxes { frames: vec![Vec::new(); frames.len()], ..Boxes::default() });
     }
-    let file = ArrowFile::map(&path)?;
+    let file = ArrowFile::open(&path)?;
     let about: BoxMetadata = metadata::read(&file)?;
     let rows = sync.rows(KEY, file.rows())?;
     let mut frame_of: FxHashMap<usize, Vec<usize>> = FxHashMap::default();

@@ -52,6 +52,7 @@ impl CameraTable {
             let record = || format!("row {row} of column {pose}");
             poses.push(values.map(|values| metadata::pose(values, &record(), &cells.file)).transpose()?);
         }
+        let cells = cells.ready()?;
         let mut table = Self { cells, camera, ego_from_camera, times_us, poses };
         table.check_extrinsic(ego, notes);
         Ok(Some(table))

@@ -30,7 +30,7 @@ pub(super) struct CellTable {
 }
 
 impl CellTable {
-    /// Takes a mapped table.
+    /// Takes a table that is mapped sparsely, to read its other columns.
     ///
     /// # Errors
     /// Fails if there is no column `data`, or it has an unknown type.
@@ -50,6 +50,14 @@ impl CellTable {
             }
         };
         Ok(Self { file, key: key.to_owned(), kind, data, last: Mutex::new(None) })
+    }
+
+    /// Ends the reading of columns other than the cells.
+    ///
+    /// # Errors
+    /// Fails if the file has changed.
+    pub(super) fn ready(self) -> Result<Self, FileError> {
+        Ok(Self { file: self.file.map_again()?, ..self })
     }
 
     /// Name of a column.

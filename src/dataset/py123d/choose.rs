@@ -109,7 +109,7 @@ fn shown(path: &Path) -> String {
 }
 
 fn location(log: &Path) -> Option<String> {
-    let file = ArrowFile::map(&log.join(SYNC)).ok()?;
+    let file = ArrowFile::open(&log.join(SYNC)).ok()?;
     metadata::read::<LogMetadata>(&file).ok()?.location
 }
 

@@ -29,7 +29,7 @@ impl Ego {
             let rows = vec![None; sync.times_us.len()];
             return Ok(Self { times_us: Vec::new(), poses: Vec::new(), rows });
         }
-        let file = ArrowFile::map(&path)?;
+        let file = ArrowFile::open(&path)?;
         let [time, imu] = [format!("{KEY}.timestamp_us"), format!("{KEY}.imu_se3")];
         let table = file.table(&[&time, &imu], &[])?;
         let times_us = table.column(&time)?.integers()?;

@@ -48,6 +48,7 @@ impl LidarTable {
         let at = cells.column(if is_placed_by_end { "end_timestamp_us" } else { "timestamp_us" });
         let times_us = cells.file.table(&[&at], &[])?.column(&at)?.integers()?;
         check_times(&times_us, false, cells.file.path())?;
+        let cells = cells.ready()?;
         let ids = lidars.iter().map(|lidar| lidar.lidar_id).collect();
         Ok(Self { cells, ids, times_us, is_placed_by_end, ego_from_lidar })
     }

@@ -29,7 +29,7 @@ pub(super) fn read(
     if !is_there(&path)? {
         return Ok(Vec::new());
     }
-    let file = ArrowFile::map(&path)?;
+    let file = ArrowFile::open(&path)?;
     let [lane, status] = [format!("{KEY}.lane_id"), format!("{KEY}.status")];
     let table = file.table(&[&lane, &status], &[])?;
     let (lanes, states) = (table.column(&lane)?.integer_lists()?, table.column(&status)?.integer_lists()?);

@@ -77,7 +77,7 @@ pub(super) fn find(locator: &LogLocator, about: &LogMetadata) -> Result<Option<P
 /// # Errors
 /// Fails if the table is damaged, or no object of a layer can be read.
 pub(super) fn read(path: &Path, location: &str, dataset: &str) -> Result<VectorMap, DatasetError> {
-    let file = ArrowFile::map(path)?;
+    let file = ArrowFile::open(path)?;
     let mut objects = Objects { layers: BTreeMap::new(), notes: Counts::new(), path };
     for batch in 0..file.batches() {
         let table = file.batch(batch, &["object_id", "map_layer", "features", "wkb"], &[])?;

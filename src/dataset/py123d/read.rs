@@ -137,12 +137,16 @@ fn sensors(
             continue;
         }
         match kind {
-            "camera" => {
-                cameras.extend(CameraTable::open(ArrowFile::map(&path)?, &key, ego, &locator.reading, notes)?)
-            }
+            "camera" => cameras.extend(CameraTable::open(
+                ArrowFile::map_sparse(&path)?,
+                &key,
+                ego,
+                &locator.reading,
+                notes,
+            )?),
             "lidar" => {
                 let files = PointFiles::of_dataset(&sync.about.dataset);
-                lidars.push(LidarTable::open(ArrowFile::map(&path)?, &key, files)?);
+                lidars.push(LidarTable::open(ArrowFile::map_sparse(&path)?, &key, files)?);
             }
             _ if is_read => {}
             _ => note(notes, &format!("tables of another kind ({kind}, not read)"), 1),

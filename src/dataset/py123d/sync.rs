@@ -31,7 +31,7 @@ impl Sync {
     /// Fails if the file is missing or damaged, has no frames, or times do not increase.
     pub(super) fn read(log: &Path) -> Result<Self, DatasetError> {
         let path = log.join(SYNC);
-        let file = ArrowFile::map(&path)?;
+        let file = ArrowFile::open(&path)?;
         let about: LogMetadata = metadata::read(&file)?;
         let keys: Vec<&str> = file.columns().filter(|name| !name.starts_with(OWN)).collect();
         let table = file.table(&[&["sync.timestamp_us"], keys.as_slice()].concat(), &[])?;

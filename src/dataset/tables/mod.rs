@@ -3,8 +3,8 @@
 //! # How it works
 //! [`ArrowFile`] validates the footer and the declared sizes of all batches of rows (`layout`, `check`), but
 //! decodes none. [`ArrowFile::table`] decodes selected columns of the whole file, [`ArrowFile::batch`] those of
-//! one batch. [`Column`] gives values whatever the width of the numbers. Files are read at once, or mapped where
-//! they hold images and sweeps. Format: <https://arrow.apache.org/docs/format/Columnar.html#ipc-file-format>.
+//! one batch. [`Column`] gives values whatever the width of the numbers. A file is in memory, or its batches are read
+//! one by one, or it is mapped where cells hold images and sweeps. Format: <https://arrow.apache.org/docs/format/Columnar.html#ipc-file-format>.
 
 mod check;
 mod column;
@@ -14,6 +14,8 @@ mod metadata;
 
 pub(super) use column::Column;
 
+use std::fs::File;
+use std::os::unix::fs::FileExt;
 use std::path::{Path, PathBuf};
 
 use arrow_array::{ArrayRef, RecordBatch};
@@ -23,14 +25,22 @@ use arrow_schema::{DataType, Schema, SchemaRef};
 
 use self::layout::Layout;
 use crate::error::FileError;
-use crate::files::input::{SWEEP_BYTES, read_file};
+use crate::files::input::{SWEEP_BYTES, open_regular, read_file};
 use crate::gpu::MappedFile;
 
 /// Arrow IPC file with a validated layout.
 pub(in crate::dataset) struct ArrowFile {
     path: PathBuf,
-    bytes: Buffer,
+    source: Source,
     layout: Layout,
+}
+
+/// Where batches come from.
+enum Source {
+    /// All bytes, in memory or mapped.
+    Bytes(Buffer),
+    /// Each batch is read when it is decoded.
+    Batches(File),
 }
 
 impl ArrowFile {
@@ -42,18 +52,41 @@ impl ArrowFile {
         Self::of(Buffer::from_vec(read_file(path, SWEEP_BYTES)?), path)
     }
 
-    /// Maps a file, whose pages are read on access.
+    /// Opens a file of any size, of which one batch at a time is in memory.
     ///
     /// # Errors
     /// Fails as [`ArrowFile::read`].
-    pub(in crate::dataset) fn map(path: &Path) -> Result<Self, FileError> {
-        let mapped = MappedFile::open(path)?;
-        Self::of(Buffer::from(bytes::Bytes::from_owner(mapped)), path)
+    pub(in crate::dataset) fn open(path: &Path) -> Result<Self, FileError> {
+        let (file, _) = open_regular(path)?;
+        Ok(Self { source: Source::Batches(file), ..Self::map_sparse(path)? })
+    }
+
+    /// Maps a file of any size to decode small columns beside large ones.
+    ///
+    /// # Errors
+    /// Fails as [`ArrowFile::read`].
+    pub(in crate::dataset) fn map_sparse(path: &Path) -> Result<Self, FileError> {
+        Self::of(mapped(MappedFile::open_sparse(path)?), path)
+    }
+
+    /// Maps the file again, to decode large columns.
+    ///
+    /// # Errors
+    /// Fails if the file has changed.
+    pub(in crate::dataset) fn map_again(self) -> Result<Self, FileError> {
+        let bytes = mapped(MappedFile::open(&self.path)?);
+        if let Source::Bytes(before) = &self.source
+            && before.len() != bytes.len()
+        {
+            let [expected, found] = [before.len(), bytes.len()].map(|length| format!("{length} bytes"));
+            return Err(FileError::content(expected, format!("{found} (changed since)"), &self.path));
+        }
+        Ok(Self { source: Source::Bytes(bytes), ..self })
     }
 
     fn of(bytes: Buffer, path: &Path) -> Result<Self, FileError> {
         let layout = Layout::of(&bytes).map_err(|found| no_arrow(found, path))?;
-        Ok(Self { path: path.to_owned(), bytes, layout })
+        Ok(Self { path: path.to_owned(), source: Source::Bytes(bytes), layout })
     }
 
     /// The file.
@@ -145,7 +178,15 @@ impl ArrowFile {
     fn decode(&self, decoder: &FileDecoder, batch: usize) -> Result<RecordBatch, FileError> {
         let (block, _) = &self.layout.blocks[batch];
         let (start, length) = layout::span(block);
-        let read = decoder.read_record_batch(block, &self.bytes.slice_with_length(start, length));
+        let bytes = match &self.source {
+            Source::Bytes(bytes) => bytes.slice_with_length(start, length),
+            Source::Batches(file) => {
+                let mut bytes = vec![0; length];
+                file.read_exact_at(&mut bytes, start as u64).map_err(FileError::io("read", &self.path))?;
+                Buffer::from_vec(bytes)
+            }
+        };
+        let read = decoder.read_record_batch(block, &bytes);
         let read = read.map_err(|error| no_arrow(error.to_string(), &self.path))?;
         read.ok_or_else(|| no_arrow("a batch without rows".to_owned(), &self.path))
     }
@@ -183,6 +224,10 @@ impl Table {
         let parts = parts.ok_or_else(|| missing_column(name, &self.schema, &self.path))?;
         Ok(Column::new(name.to_owned(), parts, &self.path))
     }
+}
+
+fn mapped(file: MappedFile) -> Buffer {
+    Buffer::from(bytes::Bytes::from_owner(file))
 }
 
 fn no_arrow(found: String, path: &Path) -> FileError {
