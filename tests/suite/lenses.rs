@@ -276,7 +276,7 @@ fn psnr(log: &dyn LogReader, shown: &Camera) -> f64 {
             count += 1;
         }
     }
-    assert!(count > 3000, "{count}");
+    assert!(count > 2500, "{count}");
     10.0 * (255.0_f64.powi(2) * f64::from(count) / squares).log10()
 }
 
