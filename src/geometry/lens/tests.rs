@@ -4,12 +4,16 @@ use glam::{DVec2, DVec3};
 
 use crate::geometry::{Camera, CameraError};
 
-/// Right fisheye camera of KITTI-360: `image_02.yaml`, model MEI.
+/// Mirror parameter of a fisheye camera of KITTI-360, in `image_02.yaml`.
+const XI: f64 = 2.213_404_750_785_489;
+const K1: f64 = 0.016_798_235_660_113_68;
+const K2: f64 = 1.654_877_324_337_352_2;
+const GAMMA: [f64; 2] = [1_336.322_082_584_997_1, 1_335.788_335_001_295_8];
+const CENTER: [f64; 2] = [716.943_235_101_263_2, 705.764_983_082_215_8];
+
 fn kitti_360() -> Camera {
-    let distortion = [1.6798235660113681e-02, 1.6548773243373522, 0.0, 0.0];
-    let projection =
-        [1.3363220825849971e+03, 1.3357883350012958e+03, 7.1694323510126321e+02, 7.0576498308221585e+02];
-    Camera::fisheye_mei("image_02", 1400, 1400, 2.2134047507854890, distortion, projection).unwrap()
+    let projection = [GAMMA[0], GAMMA[1], CENTER[0], CENTER[1]];
+    Camera::fisheye_mei("image_02", 1400, 1400, XI, [K1, K2, 0.0, 0.0], projection).unwrap()
 }
 
 /// Returns an f-theta camera of HD size with a forward polynomial.
@@ -67,15 +71,14 @@ fn rays_return_from_the_image() {
 /// The image of a sphere's outline is a circle, as is that of rays at 90 degrees.
 #[test]
 fn pixels_inside_the_circle_of_a_fisheye_show_rays() {
-    const XI: f64 = 2.2134047507854890;
     let projection = kitti_360().projection();
-    let radius = |m: f64| m * (1.0 + 1.6798235660113681e-02 * m.powi(2) + 1.6548773243373522 * m.powi(4));
+    let radius = |m: f64| m * (1.0 + K1 * m.powi(2) + K2 * m.powi(4));
     let (outline, beside) = (radius(1.0 / (XI * XI - 1.0).sqrt()), radius(1.0 / XI));
     let [mut shown, mut behind] = [0; 2];
     for (x, y) in (0..1400).step_by(20).flat_map(|x| (0..1400).step_by(20).map(move |y| (x, y))) {
         let pixel = DVec2::new(f64::from(x), f64::from(y)) + 0.5;
-        let across = pixel - DVec2::new(7.1694323510126321e+02, 7.0576498308221585e+02);
-        let from_axis = (across / DVec2::new(1.3363220825849971e+03, 1.3357883350012958e+03)).length();
+        let across = pixel - DVec2::from(CENTER);
+        let from_axis = (across / DVec2::from(GAMMA)).length();
         let ray = projection.ray(pixel);
         assert_eq!(ray.is_some(), from_axis < outline, "{pixel}");
         let Some(ray) = ray else { continue };
@@ -92,11 +95,11 @@ fn pixels_follow_the_formulas() {
     let (fisheye, wide) = (kitti_360().projection(), f_theta(FORWARD_PX).unwrap().projection());
     for ray in rays(1.9) {
         let n = ray / ray.length();
-        let (x, y) = (n.x / (n.z + 2.2134047507854890), n.y / (n.z + 2.2134047507854890));
+        let (x, y) = (n.x / (n.z + XI), n.y / (n.z + XI));
         let r2 = x * x + y * y;
-        let stretch = 1.0 + 1.6798235660113681e-02 * r2 + 1.6548773243373522 * r2 * r2;
-        let [u, v] = [1.3363220825849971e+03 * x * stretch, 1.3357883350012958e+03 * y * stretch];
-        let expected = DVec2::new(u + 7.1694323510126321e+02, v + 7.0576498308221585e+02);
+        let stretch = 1.0 + K1 * r2 + K2 * r2 * r2;
+        let [u, v] = [GAMMA[0] * x * stretch, GAMMA[1] * y * stretch];
+        let expected = DVec2::new(u + CENTER[0], v + CENTER[1]);
         assert!(fisheye.pixel(ray).unwrap().distance(expected) < 1e-9, "{ray}");
 
         let t = n.z.acos();
@@ -136,7 +139,7 @@ fn resizing_scales_pixels() {
 fn rays_beyond_the_lens_have_no_pixel() {
     // The sphere ends at cos(angle) = -1 / xi.
     let fisheye = kitti_360().projection();
-    let limit = (-1.0_f64 / 2.2134047507854890).acos();
+    let limit = (-1.0_f64 / XI).acos();
     assert!((fisheye.lens().unwrap().max_angle() - limit).abs() < 1e-6);
     assert!(fisheye.pixel(ray(limit - 1e-6, 1.0)).is_some());
     assert_eq!([limit + 1e-6, 2.5, PI].map(|angle| fisheye.pixel(ray(angle, 1.0))), [None; 3]);

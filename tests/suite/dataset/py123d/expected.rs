@@ -142,7 +142,7 @@ fn check_cameras(reader: &dyn LogReader, expected: &Value, frames: &[&Value], na
         if expected["log"]["version"] != "0.2.1" {
             assert!(difference(&rig.ego_from_camera, &about["camera_to_imu"]) <= EXACT, "{name} {camera}");
         }
-        for frame in frames {
+        for (index, frame) in frames.iter().enumerate() {
             let expected = &frame["cameras"][&id];
             let Some(t_us) = expected["timestamp_us"].as_i64() else { continue };
             let of = |record: &&ImageRecord| record.channel == channel && record.t_us == t_us;
@@ -152,7 +152,11 @@ fn check_cameras(reader: &dyn LogReader, expected: &Value, frames: &[&Value], na
             let tolerance = if name == "made-variety" { 1e-6 } else { EXACT };
             let found = difference(&pose, &expected["camera_to_global"]);
             assert!(found <= tolerance, "{name}: {camera} at {t_us}: {found}");
-            check_image(reader, record, expected, name);
+            // Decoding takes a while: the first and the last image of each camera.
+            if index == 0 || index + 1 == frames.len() {
+                check_image(reader, record, expected, name);
+            }
+            reader.check_image(record).map_or_else(|_| assert!(name.contains("mp4")), |()| ());
         }
     }
 }
@@ -166,7 +170,6 @@ fn check_image(reader: &dyn LogReader, record: &ImageRecord, expected: &Value, n
         return;
     }
     let image = found.unwrap();
-    reader.check_image(record).unwrap();
     assert_eq!(
         [image.width(), image.height()].map(f64::from).as_slice(),
         numbers(&expected["size"]),
