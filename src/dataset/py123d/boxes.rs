@@ -66,6 +66,7 @@ pub(super) fn read(
         tracks: FxHashMap::default(),
         first_labels: Vec::new(),
         frames: vec![Vec::new(); frames.len()],
+        points: vec![Vec::new(); frames.len()],
         unknown: BTreeMap::new(),
         notes,
     };
@@ -76,14 +77,6 @@ pub(super) fn read(
     Ok(reader.finish())
 }
 
-/// Box of a track that is not yet sorted.
-#[derive(Clone, Copy)]
-struct Item {
-    track: usize,
-    cuboid: Cuboid,
-    points: Option<u32>,
-}
-
 struct Reader<'a> {
     labels: Labels,
     class: String,
@@ -92,7 +85,9 @@ struct Reader<'a> {
     tracks: FxHashMap<String, usize>,
     /// Label of the first box of each track.
     first_labels: Vec<u16>,
-    frames: Vec<Vec<Item>>,
+    /// Boxes by the numbers of tracks in the order of appearance, until they are sorted.
+    frames: Vec<Vec<TrackBox>>,
+    points: BoxPoints,
     /// Number of boxes by unknown label.
     unknown: BTreeMap<u16, usize>,
     notes: &'a mut Notes,
@@ -122,14 +117,19 @@ impl Reader<'_> {
                 let expected = format!("a box, a token and a label of each actor in row {}", first + i);
                 return Err(FileError::content(expected, found, &self.path).into());
             }
+            let (mut read, mut read_points) =
+                (Vec::with_capacity(boxes.len()), Vec::with_capacity(boxes.len()));
             for (place, values) in boxes.iter().enumerate() {
-                let record = format!("box {place} of row {}", first + i);
-                let points = points.get(place).copied().flatten().and_then(|n| u32::try_from(n).ok());
-                let item =
-                    self.item(*values, tokens[i][place].as_deref(), labels[i][place], points, &record)?;
-                if let Some(item) = item {
-                    frames.iter().for_each(|frame| self.frames[*frame].push(item));
+                let record = || format!("box {place} of row {}", first + i);
+                let (token, label) = (tokens[i][place].as_deref(), labels[i][place]);
+                if let Some(item) = self.item(*values, token, label, &record)? {
+                    read.push(item);
+                    let points = points.get(place).copied().flatten();
+                    read_points.push(points.and_then(|points| u32::try_from(points).ok()));
                 }
+            }
+            for frame in frames {
+                (self.frames[*frame], self.points[*frame]) = (read.clone(), read_points.clone());
             }
         }
         Ok(table.rows())
@@ -141,10 +141,9 @@ impl Reader<'_> {
         values: Option<[f64; 10]>,
         token: Option<&str>,
         label: Option<i64>,
-        points: Option<u32>,
-        record: &str,
-    ) -> Result<Option<Item>, DatasetError> {
-        let missing = |what: &str| FileError::content(format!("{what} in {record}"), "none", &self.path);
+        record: &dyn Fn() -> String,
+    ) -> Result<Option<TrackBox>, DatasetError> {
+        let missing = |what: &str| FileError::content(format!("{what} in {}", record()), "none", &self.path);
         let [x, y, z, qw, qx, qy, qz, length, width, height] = values.ok_or_else(|| missing("a box"))?;
         let token = token.ok_or_else(|| missing("a track token"))?;
         let label = label.and_then(|label| u16::try_from(label).ok()).ok_or_else(|| missing("a label"))?;
@@ -155,29 +154,30 @@ impl Reader<'_> {
         let path = || self.path.clone();
         let pose = Pose::from_wxyz([qw, qx, qy, qz], [x, y, z]).map_err(|source| DatasetError::Pose {
             source,
-            record: record.to_owned(),
+            record: record(),
             path: path(),
         })?;
         let cuboid = Cuboid::unless_flat(pose, DVec3::new(length, width, height))
-            .map_err(|source| DatasetError::Cuboid { source, record: record.to_owned(), path: path() })?;
+            .map_err(|source| DatasetError::Cuboid { source, record: record(), path: path() })?;
         let Some(cuboid) = cuboid else {
-            self.notes.gap(Gap::record(FLAT_BOX, record, &self.path));
+            self.notes.gap(Gap::record(FLAT_BOX, record(), &self.path));
             return Ok(None);
         };
         if self.labels.category(label).is_none() {
             *self.unknown.entry(label).or_default() += 1;
         }
         let next = self.tracks.len();
-        let track = *self.tracks.entry(token.to_owned()).or_insert(next);
+        let track = self.tracks.get(token).copied().unwrap_or(next);
         if track == next {
+            self.tracks.insert(token.to_owned(), track);
             self.first_labels.push(label);
         }
-        Ok(Some(Item { track, cuboid, points }))
+        Ok(Some(TrackBox { track, cuboid }))
     }
 
     /// Sorts tracks and boxes.
     fn finish(self) -> Boxes {
-        let Self { labels, class, path, tracks, first_labels, frames, unknown, notes } = self;
+        let Self { labels, class, path, tracks, first_labels, mut frames, mut points, unknown, notes } = self;
         for (label, boxes) in unknown {
             note_unknown_category(notes, &format!("{label} of {class}"), boxes);
         }
@@ -190,24 +190,24 @@ impl Reader<'_> {
             Track { id, class: Class::from_category(&category), category: Cow::into_owned(category) }
         };
         let tracks: Vec<Track> = tokens.into_iter().map(track).collect();
-        let (mut sorted, mut points) = (Vec::with_capacity(frames.len()), Vec::with_capacity(frames.len()));
-        for mut items in frames {
-            items.iter_mut().for_each(|item| item.track = place[item.track]);
-            items.sort_by_key(|item| item.track);
-            items.dedup_by(|later, first| {
-                let is_second = later.track == first.track;
+        for (boxes, points) in frames.iter_mut().zip(&mut points) {
+            boxes.iter_mut().for_each(|item| item.track = place[item.track]);
+            let mut order: Vec<usize> = (0..boxes.len()).collect();
+            order.sort_by_key(|i| boxes[*i].track);
+            order.dedup_by(|later, first| {
+                let is_second = boxes[*later].track == boxes[*first].track;
                 if is_second {
-                    notes.gap(Gap::record(TWICE, format!("track {}", tracks[first.track].id), &path));
+                    let record = format!("track {}", tracks[boxes[*first].track].id);
+                    notes.gap(Gap::record(TWICE, record, &path));
                 }
                 is_second
             });
-            sorted
-                .push(items.iter().map(|item| TrackBox { track: item.track, cuboid: item.cuboid }).collect());
-            points.push(items.iter().map(|item| item.points).collect::<Vec<_>>());
+            *points = order.iter().map(|i| points[*i]).collect();
+            *boxes = order.iter().map(|i| boxes[*i]).collect();
         }
         let missing = points.iter().flatten().filter(|points| points.is_none()).count();
         let is_known = points.iter().flatten().any(Option::is_some);
         note(notes, UNKNOWN_POINTS, if is_known { missing } else { 0 });
-        Boxes { tracks, frames: sorted, points: is_known.then_some(points) }
+        Boxes { tracks, frames, points: is_known.then_some(points) }
     }
 }

@@ -18,6 +18,16 @@ pub(super) enum CellKind {
     Video,
 }
 
+/// Adds the row to an error about the content of a cell.
+fn in_row(error: FileError, row: u32) -> FileError {
+    match error {
+        FileError::Content { expected, found, path } => {
+            FileError::Content { expected, found: format!("{found} in row {row}"), path }
+        }
+        other => other,
+    }
+}
+
 /// Table of a sensor.
 pub(super) struct CellTable {
     pub(super) file: ArrowFile,
@@ -88,7 +98,7 @@ impl CellTable {
         let (batch, place) = self.file.place(row.into()).ok_or_else(|| self.no_cell(row))?;
         let table = self.batch(batch)?;
         let bytes = table.column(&self.data)?.bytes(place)?;
-        read(bytes.ok_or_else(|| self.no_cell(row))?)
+        read(bytes.ok_or_else(|| self.no_cell(row))?).map_err(|error| in_row(error, row))
     }
 
     fn batch(&self, batch: usize) -> Result<Arc<Table>, FileError> {

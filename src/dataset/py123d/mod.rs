@@ -126,7 +126,7 @@ impl LogReader for Py123d {
         };
         let lidar = self.lidar(&record.path)?;
         let meaning = self.tables.log.reading.rings;
-        Ok(lidar.cells.read(row, |bytes| stored_sweep(bytes, lidar, row, meaning))?)
+        Ok(lidar.cells.read(row, |bytes| stored_sweep(bytes, lidar, meaning))?)
     }
 
     fn check_sweep(&self, record: &SweepRecord) -> Result<Option<u64>, DatasetError> {
@@ -134,7 +134,7 @@ impl LogReader for Py123d {
             return Ok(Some(self.point_files(&record.path)?.check(&record.path)?));
         };
         let declared =
-            |bytes: &[u8]| codec::declared_points(bytes).map_err(|found| damaged(found, row, &record.path));
+            |bytes: &[u8]| codec::declared_points(bytes).map_err(|found| damaged(found, &record.path));
         Ok(Some(self.lidar(&record.path)?.cells.read(row, declared)?))
     }
 
@@ -164,14 +164,9 @@ impl LogReader for Py123d {
 }
 
 /// Decodes the sweep in a cell.
-fn stored_sweep(
-    bytes: &[u8],
-    lidar: &LidarTable,
-    row: u32,
-    meaning: RingMeaning,
-) -> Result<Sweep, FileError> {
+fn stored_sweep(bytes: &[u8], lidar: &LidarTable, meaning: RingMeaning) -> Result<Sweep, FileError> {
     let path = lidar.cells.file.path();
-    let points = codec::decode(bytes).map_err(|found| damaged(found, row, path))?;
+    let points = codec::decode(bytes).map_err(|found| damaged(found, path))?;
     let mut sweep = SweepRows::with_capacity(points.xyz.len());
     let is_merged = lidar.ids.len() > 1;
     let device = |i: usize| {
@@ -192,6 +187,6 @@ fn stored_sweep(
     sweep.finish(meaning, path)
 }
 
-fn damaged(found: String, row: u32, path: &Path) -> FileError {
-    FileError::content(format!("a sweep in row {row}"), found, path)
+fn damaged(found: String, path: &Path) -> FileError {
+    FileError::content("a sweep", found, path)
 }

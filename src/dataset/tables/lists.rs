@@ -126,7 +126,7 @@ fn vectors<const N: usize>(part: &ArrayRef) -> Option<Vec<Option<[f64; N]>>> {
     Some((0..all.len()).map(vector).collect())
 }
 
-fn lists<T: Clone>(part: &ArrayRef, convert: impl Fn(&ArrayRef) -> Option<Vec<T>>) -> Option<Vec<Vec<T>>> {
+fn lists<T>(part: &ArrayRef, convert: impl Fn(&ArrayRef) -> Option<Vec<T>>) -> Option<Vec<Vec<T>>> {
     let (spans, values) = match part.data_type() {
         DataType::List(_) => {
             let all = part.as_list_opt::<i32>()?;
@@ -138,12 +138,15 @@ fn lists<T: Clone>(part: &ArrayRef, convert: impl Fn(&ArrayRef) -> Option<Vec<T>
         }
         _ => return None,
     };
-    let values = convert(values)?;
-    let list = |(row, span): (usize, Range<usize>)| match part.is_null(row) {
-        true => Some(Vec::new()),
-        false => Some(values.get(span)?.to_vec()),
+    let (mut values, mut next) = (convert(values)?.into_iter(), 0);
+    let list = |(row, span): (usize, Range<usize>)| {
+        // Offsets do not decrease.
+        values.by_ref().take(span.start.saturating_sub(next)).for_each(drop);
+        next = span.end;
+        let list: Vec<T> = values.by_ref().take(span.len()).collect();
+        if part.is_null(row) { Vec::new() } else { list }
     };
-    spans.into_iter().enumerate().map(list).collect()
+    Some(spans.into_iter().enumerate().map(list).collect())
 }
 
 fn spans<O: Copy + TryInto<usize>>(offsets: &[O]) -> Option<Vec<Range<usize>>> {
