@@ -141,16 +141,18 @@ impl LogReader for Py123d {
     fn read_image(&self, record: &ImageRecord) -> Result<image::RgbImage, DatasetError> {
         let (height, width) = (record.camera.height, record.camera.width);
         let Some(row) = record.row else { return Ok(read_picture(&record.path, height, width)?) };
-        let decode = |bytes: &[u8]| decode_picture(bytes, height, width, &record.path);
+        let decode = |bytes: &[u8]| {
+            decode_picture(bytes, height, width, &record.path).map_err(|error| in_row(error, row))
+        };
         Ok(self.images(record)?.read(row, decode)?)
     }
 
     fn check_image(&self, record: &ImageRecord) -> Result<(), DatasetError> {
-        let size = match record.row {
-            None => super::picture_size(&record.path)?,
-            Some(row) => self.images(record)?.read(row, |bytes| encoded_size(bytes, &record.path))?,
+        let Some(row) = record.row else {
+            return Ok(super::check_size(super::picture_size(&record.path)?, record)?);
         };
-        Ok(super::check_size(size, record)?)
+        let check = |bytes: &[u8]| super::check_size(encoded_size(bytes, &record.path)?, record);
+        Ok(self.images(record)?.read(row, |bytes| check(bytes).map_err(|error| in_row(error, row)))?)
     }
 
     fn box_points(&self) -> Option<&[Vec<Option<u32>>]> {
@@ -190,6 +192,16 @@ fn stored_sweep(
     // Unless the table says that LiDARs are merged, the column `channel` numbers beams.
     let meaning = if is_merged || meaning == RingMeaning::Device { meaning } else { RingMeaning::Beam };
     sweep.finish(meaning, path)
+}
+
+/// Adds the row to an error about the content of a cell.
+fn in_row(error: FileError, row: u32) -> FileError {
+    match error {
+        FileError::Content { expected, found, path } => {
+            FileError::Content { expected: format!("{expected} in row {row}"), found, path }
+        }
+        other => other,
+    }
 }
 
 fn damaged(found: String, row: u32, path: &Path) -> FileError {
