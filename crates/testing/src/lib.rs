@@ -13,6 +13,8 @@ pub mod npz;
 #[cfg(feature = "nuplan")]
 pub mod nuplan_log;
 pub mod parity;
+#[cfg(feature = "123d")]
+pub mod py123d_log;
 pub mod shared;
 pub mod six_cameras;
 #[cfg(feature = "network")]

@@ -52,7 +52,7 @@ pub(super) fn read(
     }
     let file = ArrowFile::open(&path)?;
     let about: BoxMetadata = metadata::read(&file)?;
-    let rows = sync.rows(KEY, file.rows())?;
+    let rows = sync.rows_of_lists(KEY, file.rows())?;
     let mut frame_of: FxHashMap<usize, Vec<usize>> = FxHashMap::default();
     for (frame, row) in frames.iter().enumerate().filter_map(|(frame, i)| Some((frame, rows[*i]?))) {
         frame_of.entry(row).or_default().push(frame);

@@ -22,7 +22,7 @@ pub(super) enum CellKind {
 fn in_row(error: FileError, row: u32) -> FileError {
     match error {
         FileError::Content { expected, found, path } => {
-            FileError::Content { expected, found: format!("{found} in row {row}"), path }
+            FileError::Content { expected: format!("{expected} in row {row}"), found, path }
         }
         other => other,
     }

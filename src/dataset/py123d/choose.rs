@@ -27,7 +27,8 @@ struct Candidate {
 /// `#LOCATION`.
 ///
 /// # Errors
-/// Fails if the folder cannot be read or has no logs, or none of the given name.
+/// Fails if the folder cannot be read or has no logs, or none of the given name, and where locations are compared, if
+/// the table of a log is damaged.
 pub(super) fn expand(locator: &LogLocator) -> Result<Vec<LogLocator>, DatasetError> {
     let path = &locator.path;
     let mut candidates = candidates(path)?;
@@ -49,18 +50,16 @@ pub(super) fn expand(locator: &LogLocator) -> Result<Vec<LogLocator>, DatasetErr
     };
     let names: Vec<String> = candidates.iter().map(|log| log.name.clone()).collect();
     let is_name = names.iter().any(|name| name == wanted);
-    let is_wanted = |log: &Candidate| {
-        if is_name {
-            log.name == wanted
-        } else {
-            location(&log.path).is_some_and(|location| location == wanted)
-        }
-    };
-    candidates.retain(is_wanted);
-    if candidates.is_empty() {
+    let mut found = Vec::new();
+    for log in candidates {
+        let is_wanted =
+            if is_name { log.name == wanted } else { location(&log.path)?.as_deref() == Some(wanted) };
+        found.extend(is_wanted.then(|| log.locator(locator)));
+    }
+    if found.is_empty() {
         return Err(DatasetError::Scene { found: locator.scene.clone(), scenes: names, path: path.clone() });
     }
-    Ok(candidates.into_iter().map(|log| log.locator(locator)).collect())
+    Ok(found)
 }
 
 /// Returns the only log that a locator refers to.
@@ -108,9 +107,9 @@ fn shown(path: &Path) -> String {
     if split.is_empty() { name } else { format!("{split}/{name}") }
 }
 
-fn location(log: &Path) -> Option<String> {
-    let file = ArrowFile::open(&log.join(SYNC)).ok()?;
-    metadata::read::<LogMetadata>(&file).ok()?.location
+fn location(log: &Path) -> Result<Option<String>, FileError> {
+    let file = ArrowFile::open(&log.join(SYNC))?;
+    Ok(metadata::read::<LogMetadata>(&file)?.location)
 }
 
 fn file_name(path: &Path) -> String {

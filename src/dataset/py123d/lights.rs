@@ -33,7 +33,7 @@ pub(super) fn read(
     let [lane, status] = [format!("{KEY}.lane_id"), format!("{KEY}.status")];
     let table = file.table(&[&lane, &status], &[])?;
     let (lanes, states) = (table.column(&lane)?.integer_lists()?, table.column(&status)?.integer_lists()?);
-    let rows = sync.rows(KEY, file.rows())?;
+    let rows = sync.rows_of_lists(KEY, file.rows())?;
     let mut lights = Vec::new();
     for (frame, row) in frames.iter().enumerate().filter_map(|(frame, i)| Some((frame, rows[*i]?))) {
         if lanes[row].len() != states[row].len() {

@@ -146,11 +146,11 @@ impl LogReader for Py123d {
     }
 
     fn check_image(&self, record: &ImageRecord) -> Result<(), DatasetError> {
-        let size = match record.row {
-            None => super::picture_size(&record.path)?,
-            Some(row) => self.images(record)?.read(row, |bytes| encoded_size(bytes, &record.path))?,
+        let Some(row) = record.row else {
+            return Ok(super::check_size(super::picture_size(&record.path)?, record)?);
         };
-        Ok(super::check_size(size, record)?)
+        let check = |bytes: &[u8]| super::check_size(encoded_size(bytes, &record.path)?, record);
+        Ok(self.images(record)?.read(row, check)?)
     }
 
     fn box_points(&self) -> Option<&[Vec<Option<u32>>]> {

@@ -17,6 +17,7 @@ use crate::dataset::tables::ArrowFile;
 use crate::dataset::{BoxPoints, DatasetError, Frame, Gap, LogLocator, Recording};
 use crate::error::FileError;
 use crate::files::input::{DataRoot, is_there};
+use crate::files::text::printable_path;
 
 /// Kind of a gap: a frame that cannot be placed.
 const NO_POSE: &str = "frames without an ego pose";
@@ -157,6 +158,11 @@ fn sensors(
         return Err(FileError::content(expected, cameras.len().to_string(), &locator.path).into());
     }
     cameras.sort_by(|a, b| rig::place(&a.camera.name).cmp(&rig::place(&b.camera.name)));
+    if let Some(pair) = cameras.windows(2).find(|pair| pair[0].camera.name == pair[1].camera.name) {
+        let [first, second] = [&pair[0], &pair[1]].map(|camera| camera.cells.file.path());
+        let found = format!("{} of {} too", pair[0].camera.name, printable_path(first));
+        return Err(FileError::content("cameras of different names", found, second).into());
+    }
     Ok((cameras, lidars))
 }
 
@@ -165,9 +171,10 @@ fn keys(folder: &Path, sync: &Sync) -> Result<BTreeSet<String>, FileError> {
     let mut keys: BTreeSet<String> = sync.keys().map(str::to_owned).collect();
     for entry in std::fs::read_dir(folder).map_err(FileError::io("read", folder))? {
         let path: PathBuf = entry.map_err(FileError::io("read", folder))?.path();
-        let stem = path.file_stem().and_then(|stem| stem.to_str()).unwrap_or_default();
-        if path.extension().is_some_and(|extension| extension == ARROW) && !["sync", "map"].contains(&stem) {
-            keys.insert(stem.to_owned());
+        let stem = path.file_stem().unwrap_or_default().to_string_lossy();
+        if path.extension().is_some_and(|extension| extension == ARROW) && !["sync", "map"].contains(&&*stem)
+        {
+            keys.insert(stem.into_owned());
         }
     }
     Ok(keys)

@@ -3,6 +3,8 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
+use rustc_hash::FxHashMap;
+
 use super::choose::SYNC;
 use super::metadata::{self, LogMetadata};
 use crate::dataset::DatasetError;
@@ -10,9 +12,14 @@ use crate::dataset::clock::Unit;
 use crate::dataset::limits::MAX_TIME_US;
 use crate::dataset::tables::ArrowFile;
 use crate::error::FileError;
+use crate::files::FileName;
 
 /// Prefix of the table's own columns.
 const OWN: &str = "sync.";
+
+/// Maximum number of frames with the same row of lists, each of which has a copy of the lists. py123d names a row
+/// for one frame.
+const MAX_FRAMES_OF_ROW: usize = 64;
 
 /// Frames of a log.
 pub(super) struct Sync {
@@ -42,6 +49,8 @@ impl Sync {
         }
         let mut rows = BTreeMap::new();
         for key in keys {
+            // It becomes the name of a file.
+            FileName::new(key).map_err(|error| error.of("the key of a table").in_file(&path))?;
             rows.insert(key.to_owned(), table.column(key)?.integers_or_none()?);
         }
         Ok(Self { path, about, times_us, rows })
@@ -50,6 +59,24 @@ impl Sync {
     /// Keys of the tables.
     pub(super) fn keys(&self) -> impl Iterator<Item = &str> {
         self.rows.keys().map(String::as_str)
+    }
+
+    /// Returns rows as [`Sync::rows`], of a table whose rows hold lists.
+    ///
+    /// # Errors
+    /// Fails too if a row belongs to more than [`MAX_FRAMES_OF_ROW`] frames.
+    pub(super) fn rows_of_lists(&self, key: &str, count: u64) -> Result<Vec<Option<usize>>, FileError> {
+        let rows = self.rows(key, count)?;
+        let mut frames: FxHashMap<usize, usize> = FxHashMap::default();
+        rows.iter().flatten().for_each(|row| *frames.entry(*row).or_default() += 1);
+        match rows.iter().flatten().find(|row| frames[*row] > MAX_FRAMES_OF_ROW) {
+            None => Ok(rows),
+            Some(row) => {
+                let expected = format!("a row in at most {MAX_FRAMES_OF_ROW} frames in column {key}");
+                let found = format!("row {row} in {} frames", frames[row]);
+                Err(FileError::content(expected, found, &self.path))
+            }
+        }
     }
 
     /// Returns the row of a table with `count` rows that belongs to each frame; all `None` if no column refers

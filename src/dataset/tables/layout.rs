@@ -51,7 +51,7 @@ impl Layout {
         let start = body.len().checked_sub(length);
         let start = start.ok_or_else(|| format!("a footer of {length} bytes in {} bytes", bytes.len()))?;
         let mut footer = body[start..].to_vec();
-        let metadata = metadata::take(&mut footer);
+        let metadata = metadata::take(&mut footer)?;
         // The flatbuffer verifier requires aligned bytes.
         let footer = Buffer::from_slice_ref(&footer);
         let footer = root_as_footer(&footer).map_err(|e| format!("a damaged footer ({e})"))?;

@@ -10,7 +10,7 @@ use super::column::{Column, extend_integers, extend_numbers};
 use crate::error::FileError;
 
 impl<'a> Column<'a> {
-    /// Returns integers of any width; `None` for empty rows.
+    /// Returns integers of any width, those above 2⁶³ − 1 as that number; `None` for empty rows.
     ///
     /// # Errors
     /// Fails if values have another type.
@@ -95,7 +95,7 @@ impl<'a> Column<'a> {
 
 fn integers(part: &ArrayRef) -> Option<Vec<Option<i64>>> {
     let mut values = Vec::with_capacity(part.len());
-    let narrow = |wide: i128| i64::try_from(wide).ok();
+    let narrow = |wide: i128| Some(i64::try_from(wide).unwrap_or(i64::MAX));
     extend_integers(&mut values, part, narrow).then_some(())?;
     values.iter_mut().enumerate().filter(|(row, _)| part.is_null(*row)).for_each(|(_, value)| *value = None);
     Some(values)

@@ -14,15 +14,22 @@ const VALUE: usize = 1;
 
 /// Takes the metadata of the schema out of a footer: returns keys and values, and overwrites the values by
 /// spaces. An invalid footer has none.
-pub(super) fn take(footer: &mut [u8]) -> Vec<(String, Vec<u8>)> {
+///
+/// # Errors
+/// Returns a description of entries that share bytes, of which there could be any number.
+pub(super) fn take(footer: &mut [u8]) -> Result<Vec<(String, Vec<u8>)>, String> {
     let spans = spans(footer).unwrap_or_default();
+    let bytes: usize = spans.iter().map(|(key, value)| key.len() + value.len()).sum();
+    if bytes > footer.len() {
+        return Err(format!("metadata of {bytes} bytes in a footer of {}", footer.len()));
+    }
     let mut entries = Vec::with_capacity(spans.len());
     for (key, value) in spans {
         let Ok(key) = String::from_utf8(footer[key].to_vec()) else { continue };
         entries.push((key, footer[value.clone()].to_vec()));
         footer[value].fill(b' ');
     }
-    entries
+    Ok(entries)
 }
 
 type Span = std::ops::Range<usize>;

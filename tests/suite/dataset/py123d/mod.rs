@@ -1,8 +1,13 @@
-//! Logs of py123d: real ones, written by its own parsers, against what its own API reads.
+//! Logs of py123d: real ones, written by its own parsers, against what its own API reads; synthetic ones with damage.
 
 mod damage;
+mod damaged_cells;
+mod damaged_map;
+mod damaged_values;
 mod expected;
 mod other_readers;
+mod selection;
+mod written;
 
 use std::path::{Path, PathBuf};
 
