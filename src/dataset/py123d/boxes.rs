@@ -13,13 +13,20 @@ use super::sync::Sync;
 use crate::dataset::recording::notes::{
     FLAT_BOX, NO_ANNOTATIONS, Notes, UNKNOWN_POINTS, note, note_unknown_category,
 };
-use crate::dataset::tables::ArrowFile;
+use crate::dataset::tables::{ArrowFile, Table};
 use crate::dataset::{BoxPoints, Class, DatasetError, Gap, Track, TrackBox};
 use crate::error::FileError;
 use crate::files::input::is_there;
 use crate::geometry::{Cuboid, Pose};
 
 pub(super) const KEY: &str = "box_detections_se3";
+const SE3: &str = "box_detections_se3.bounding_box_se3";
+const TOKEN: &str = "box_detections_se3.track_token";
+const LABEL: &str = "box_detections_se3.label";
+const POINTS: &str = "box_detections_se3.num_lidar_points";
+
+/// Rows that are converted at a time, which bounds the memory of their lists.
+const PART_ROWS: usize = 64;
 
 /// Kind of a gap: a second box of a track in one frame.
 const TWICE: &str = "boxes of a track that has another one in the frame";
@@ -72,7 +79,10 @@ pub(super) fn read(
     };
     let mut first = 0;
     for batch in 0..file.batches() {
-        first += reader.batch(&file, batch, first, &frame_of)?;
+        for part in file.batch(batch, &[SE3, TOKEN, LABEL], &[POINTS])?.parts(PART_ROWS) {
+            reader.part(&part, first, &frame_of)?;
+            first += part.rows();
+        }
     }
     Ok(reader.finish())
 }
@@ -94,21 +104,16 @@ struct Reader<'a> {
 }
 
 impl Reader<'_> {
-    /// Reads a batch whose first row has a number; returns its number of rows.
-    fn batch(
+    /// Reads rows of the table, the first of which has a number.
+    fn part(
         &mut self,
-        file: &ArrowFile,
-        batch: usize,
+        table: &Table,
         first: usize,
         frame_of: &FxHashMap<usize, Vec<usize>>,
-    ) -> Result<usize, DatasetError> {
-        let name = |column: &str| format!("{KEY}.{column}");
-        let [se3, token, label] = [name("bounding_box_se3"), name("track_token"), name("label")];
-        let points = name("num_lidar_points");
-        let table = file.batch(batch, &[&se3, &token, &label], &[&points])?;
-        let boxes = table.column(&se3)?.vector_lists::<10>()?;
-        let (tokens, labels) = (table.column(&token)?.text_lists()?, table.column(&label)?.integer_lists()?);
-        let points = if table.has(&points) { Some(table.column(&points)?.integer_lists()?) } else { None };
+    ) -> Result<(), DatasetError> {
+        let boxes = table.column(SE3)?.vector_lists::<10>()?;
+        let (tokens, labels) = (table.column(TOKEN)?.text_lists()?, table.column(LABEL)?.integer_lists()?);
+        let points = if table.has(POINTS) { Some(table.column(POINTS)?.integer_lists()?) } else { None };
         for (i, boxes) in boxes.iter().enumerate() {
             let Some(frames) = frame_of.get(&(first + i)) else { continue };
             let points = points.as_ref().map_or(&[][..], |all| &all[i]);
@@ -132,7 +137,7 @@ impl Reader<'_> {
                 (self.frames[*frame], self.points[*frame]) = (read.clone(), read_points.clone());
             }
         }
-        Ok(table.rows())
+        Ok(())
     }
 
     /// Converts a box; `None` if it is not one of an actor.

@@ -1,7 +1,5 @@
 //! Columns of lists, of vectors, and of values that may be empty.
 
-use std::ops::Range;
-
 use arrow_array::cast::AsArray;
 use arrow_array::{Array, ArrayRef};
 use arrow_schema::DataType;
@@ -127,28 +125,29 @@ fn vectors<const N: usize>(part: &ArrayRef) -> Option<Vec<Option<[f64; N]>>> {
 }
 
 fn lists<T>(part: &ArrayRef, convert: impl Fn(&ArrayRef) -> Option<Vec<T>>) -> Option<Vec<Vec<T>>> {
-    let (spans, values) = match part.data_type() {
+    let (offsets, values) = match part.data_type() {
         DataType::List(_) => {
             let all = part.as_list_opt::<i32>()?;
-            (spans(all.value_offsets())?, all.values())
+            (
+                all.value_offsets().iter().map(|at| usize::try_from(*at).ok()).collect::<Option<Vec<_>>>()?,
+                all.values(),
+            )
         }
         DataType::LargeList(_) => {
             let all = part.as_list_opt::<i64>()?;
-            (spans(all.value_offsets())?, all.values())
+            (
+                all.value_offsets().iter().map(|at| usize::try_from(*at).ok()).collect::<Option<Vec<_>>>()?,
+                all.values(),
+            )
         }
         _ => return None,
     };
-    let (mut values, mut next) = (convert(values)?.into_iter(), 0);
-    let list = |(row, span): (usize, Range<usize>)| {
-        // Offsets do not decrease.
-        values.by_ref().take(span.start.saturating_sub(next)).for_each(drop);
-        next = span.end;
-        let list: Vec<T> = values.by_ref().take(span.len()).collect();
+    let (first, last) = (*offsets.first()?, *offsets.last()?);
+    // Rows of a part of the batch: only their values.
+    let mut values = convert(&values.slice(first, last.checked_sub(first)?))?.into_iter();
+    let list = |(row, pair): (usize, &[usize])| {
+        let list: Vec<T> = values.by_ref().take(pair[1].saturating_sub(pair[0])).collect();
         if part.is_null(row) { Vec::new() } else { list }
     };
-    Some(spans.into_iter().enumerate().map(list).collect())
-}
-
-fn spans<O: Copy + TryInto<usize>>(offsets: &[O]) -> Option<Vec<Range<usize>>> {
-    offsets.windows(2).map(|pair| Some(pair[0].try_into().ok()?..pair[1].try_into().ok()?)).collect()
+    Some(offsets.windows(2).enumerate().map(list).collect())
 }

@@ -205,6 +205,16 @@ impl Table {
         self.batches.iter().map(RecordBatch::num_rows).sum()
     }
 
+    /// Returns the parts of at most `rows` rows, which share the memory.
+    pub(in crate::dataset) fn parts(&self, rows: usize) -> impl Iterator<Item = Self> {
+        let part = move |batch: &RecordBatch, start: usize| {
+            let batches = vec![batch.slice(start, rows.min(batch.num_rows() - start))];
+            Self { path: self.path.clone(), schema: self.schema.clone(), batches }
+        };
+        let starts = move |batch: &RecordBatch| (0..batch.num_rows()).step_by(rows.max(1));
+        self.batches.iter().flat_map(move |batch| starts(batch).map(move |start| part(batch, start)))
+    }
+
     /// Returns whether a column was decoded.
     pub(in crate::dataset) fn has(&self, name: &str) -> bool {
         self.batches.iter().all(|batch| batch.column_by_name(name).is_some())
