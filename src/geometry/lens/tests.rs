@@ -54,7 +54,7 @@ fn rays_return_from_the_image() {
     for (camera, degrees) in [
         (kitti_360(), 116.0),
         (f_theta(FORWARD_PX).unwrap(), 179.9),
-        (f_theta([-0.4, 900.0, 5.0, -30.0, 2.0, 0.0]).unwrap(), 170.0),
+        (f_theta([0.4, 900.0, 5.0, -30.0, 2.0, 0.0]).unwrap(), 170.0),
         (kitti_360().resized(500, 1000), 110.0),
         (Camera::fisheye_mei("c", 100, 100, 1.0, [0.0; 4], [200.0, 200.0, 50.0, 50.0]).unwrap(), 179.0),
         (
