@@ -1,5 +1,6 @@
 mod av2;
 mod build;
+mod cells;
 mod clouds;
 mod export;
 mod network;
@@ -27,6 +28,7 @@ pub static TARGETS: std::sync::LazyLock<Vec<Target>> = std::sync::LazyLock::new(
     all.extend(nuscenes::TARGETS);
     all.extend(nuplan::TARGETS);
     all.extend(av2::TARGETS);
+    all.extend(cells::TARGETS);
     all.extend(skeleton::TARGETS);
     all.extend(build::TARGETS);
     all.extend(network::TARGETS);

@@ -56,29 +56,35 @@ pub(super) fn decode(bytes: &[u8]) -> Result<Points, String> {
 /// exceeds the limit of decoded bytes.
 pub(super) fn declared_points(bytes: &[u8]) -> Result<u64, String> {
     let mut buffer = DecoderBuffer::new(bytes);
-    let points = header(&mut buffer).map_err(|e| damaged(&e))??;
+    check_header(&mut buffer)?;
+    let points = skip_metadata(&mut buffer).and_then(|()| buffer.decode_u32()).map_err(|e| damaged(&e))?;
     if u64::from(points) * POSITION_BYTES > most_decoded(bytes) {
         return Err(format!("{points} points in a Draco cloud of {} bytes", bytes.len()));
     }
     Ok(points.into())
 }
 
-/// Reads the header up to the number of points.
-fn header(buffer: &mut DecoderBuffer<'_>) -> Result<Result<u32, String>, DracoError> {
-    buffer.decode_slice(MAGIC.len())?;
-    let (major, minor, geometry) = (buffer.decode_u8()?, buffer.decode_u8()?, buffer.decode_u8()?);
-    if major != 2 || minor > 3 {
-        return Ok(Err(format!("Draco {major}.{minor}")));
+/// Reads the magic, the version and the kind of geometry.
+fn check_header(buffer: &mut DecoderBuffer<'_>) -> Result<(), String> {
+    let header = buffer.decode_slice(MAGIC.len() + 3).map_err(|e| damaged(&e))?;
+    match header[MAGIC.len()..] {
+        [2, minor @ 0..=3, 0] => {
+            buffer.set_version(2, minor);
+            Ok(())
+        }
+        [2, 0..=3, _] => Err("a Draco mesh".to_owned()),
+        [major, minor, _] => Err(format!("Draco {major}.{minor}")),
+        _ => Err("a damaged Draco cloud".to_owned()),
     }
-    if geometry != 0 {
-        return Ok(Err("a Draco mesh".to_owned()));
-    }
-    buffer.set_version(major, minor);
+}
+
+/// Reads the method, the flags and the metadata, which the number of points follows.
+fn skip_metadata(buffer: &mut DecoderBuffer<'_>) -> Result<(), DracoError> {
     let (_method, flags) = (buffer.decode_u8()?, buffer.decode_u16()?);
-    if flags & METADATA != 0 {
-        GeometryMetadata::decode(buffer)?;
+    match flags & METADATA {
+        0 => Ok(()),
+        _ => GeometryMetadata::decode(buffer).map(drop),
     }
-    Ok(Ok(buffer.decode_u32()?))
 }
 
 fn damaged(error: &DracoError) -> String {

@@ -18,7 +18,7 @@ use arrow_schema::{DataType, SchemaRef};
 
 use super::feature::{Column, Kind};
 use super::message::{check_batch, check_compression};
-use super::{Points, is_read, most_decoded};
+use super::{FEATURES, Points, is_read, most_decoded};
 
 /// First bytes of a message, and thus of a stream.
 pub(super) const MARKER: &[u8] = &[0xff; 4];
@@ -93,16 +93,16 @@ impl<'a> Stream<'a> {
 
     /// Returns the indices of the columns that are read: the axes, then features.
     fn columns(&self) -> Result<Vec<usize>, String> {
-        let fields = self.schema.fields();
-        let place = |name: &str| fields.iter().position(|field| field.name() == name);
-        let axis = |name: &&str| place(name).ok_or_else(|| format!("no column {name}"));
-        let mut columns = AXES.iter().map(axis).collect::<Result<Vec<_>, _>>()?;
-        let is_feature = |at: &usize| is_read(fields[*at].name());
-        columns.extend((0..fields.len()).filter(is_feature));
-        for at in &columns {
-            let name = fields[*at].name();
-            if place(name) != Some(*at) || fields.iter().filter(|field| field.name() == name).count() > 1 {
-                return Err(format!("two columns {name}"));
+        let mut columns = Vec::new();
+        for name in AXES.iter().chain(&FEATURES) {
+            let fields = self.schema.fields().iter().enumerate();
+            let places: Vec<usize> =
+                fields.filter(|(_, field)| field.name() == name).map(|(at, _)| at).collect();
+            match places[..] {
+                [] if AXES.contains(name) => return Err(format!("no column {name}")),
+                [] => {}
+                [place] => columns.push(place),
+                _ => return Err(format!("two columns {name}")),
             }
         }
         Ok(columns)

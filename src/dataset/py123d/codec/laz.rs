@@ -22,8 +22,8 @@ use super::{Points, is_read, most_decoded};
 pub(super) fn decode(bytes: &[u8]) -> Result<Points, String> {
     let (header, layout) = checked(bytes)?;
     let records = chunks::decompress(bytes, &header, &layout)?;
-    let mut points = Points::default();
-    points.xyz = records.chunks_exact(header.record_bytes).map(|record| position(&header, record)).collect();
+    let xyz = records.chunks_exact(header.record_bytes).map(|record| position(&header, record)).collect();
+    let mut points = Points { xyz, ..Points::default() };
     for Extra { name, kind, place } in &header.extras {
         match kind {
             Some(kind) if is_read(name) => {

@@ -21,6 +21,9 @@ use feature::{Column, extend_integers};
 
 use crate::files::sniff;
 
+/// Names of the features that are read.
+const FEATURES: [&str; 3] = ["intensity", "ids", "channel"];
+
 /// Maximum decoded bytes per byte of a cell: codecs shrink points by a small factor only.
 const MAX_EXPANSION: u64 = 64;
 /// Lower bound of this limit, for small cells, bytes.
@@ -77,7 +80,7 @@ impl Points {
 
 /// Returns whether a feature of this name is read.
 fn is_read(name: &str) -> bool {
-    matches!(name, "intensity" | "ids" | "channel")
+    FEATURES.contains(&name)
 }
 
 /// Returns the maximum decoded bytes of a cell.
