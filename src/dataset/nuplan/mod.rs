@@ -79,7 +79,7 @@ impl LogReader for NuPlan {
     }
 
     fn read_sweep(&self, record: &SweepRecord) -> Result<Sweep, DatasetError> {
-        let rows = |path: &Path| pcd_rows(&read_file(path, SWEEP_BYTES)?, path);
+        let rows = |path: &Path| pcd_rows(&read_file(path, SWEEP_BYTES)?, |_| None, path);
         Ok(self.rings.read(&self.log, &record.path, rows)?)
     }
 

@@ -13,13 +13,13 @@ use rustc_hash::FxHashMap;
 use serde::Serialize;
 use serde_json::{Map, Value};
 
-use super::choose::version_folder;
-use super::frames::MAIN_LIDAR;
+use super::choose::table_folder;
 use super::interpolate::write;
 use super::tables::rows::for_each_row;
 use super::tables::{
     Annotation, CalibratedSensor, EgoPose, Instance, LogRecord, Record, Sample, SampleData, Scene, Sensor,
 };
+use super::unsorted::MAIN_LIDAR;
 use crate::dataset::{DatasetError, LogLocator};
 use crate::error::FileError;
 use crate::files::input::is_there;
@@ -79,7 +79,7 @@ impl TableSubset {
     /// Fails if several versions exist and none is selected, if a table is missing or damaged, or if a token
     /// is unresolved.
     pub fn read(locator: &LogLocator, images: &BTreeSet<&str>) -> Result<Self, DatasetError> {
-        let source = version_folder(&locator.path, locator.version.as_deref())?;
+        let source = table_folder(locator)?;
         let folder = source.as_path();
         let channels = Channels::read(folder)?;
         let is_image = |data: &SampleData| images.contains(data.token.as_str());

@@ -16,6 +16,7 @@ const FEW_RINGS: &str =
     "sweeps with few ring numbers, read as beams (--ring-is device if they number merged LiDARs)";
 const BEAMS: &str = "sweeps whose lidar_info numbers beams instead of LiDARs";
 const MERGED: &str = "sweeps of merged LiDARs (--ring-is beam if not)";
+const SOURCES: &str = "sweeps of merged LiDARs, as their files say";
 
 /// Values of a point as stored. `device` is the LiDAR of a merged sweep, if the file has a column that says
 /// so.
@@ -33,6 +34,8 @@ pub(in crate::dataset) struct SweepRows {
     sweep: Sweep,
     /// Device of each point, if the file has such a column.
     devices: Vec<u16>,
+    /// Whether the devices are certain.
+    are_sources: bool,
     intensities: usize,
     rings: usize,
     wrong_devices: usize,
@@ -63,14 +66,21 @@ impl SweepRows {
         }
     }
 
+    /// Adds a row of a LiDAR that is known for certain, whatever the columns say.
+    pub(in crate::dataset) fn push_of(&mut self, row: SweepRow, source: Option<u16>) {
+        self.are_sources |= source.is_some();
+        let device = source.map(f64::from).or(row.device);
+        self.push(SweepRow { device, ..row });
+    }
+
     /// Adds a note about the sweep.
     pub(in crate::dataset) fn note(&mut self, kind: &str) {
         count(&mut self.sweep.notes, kind, 1);
     }
 
-    /// Returns whether the points' numbers may be LiDAR numbers.
+    /// Returns whether the points' numbers may be LiDAR numbers, which their directions decide.
     pub(super) fn may_be_merged(&self) -> bool {
-        self.has_devices() || may_be_devices(&self.sweep.points)
+        !self.are_sources && (self.has_devices() || may_be_devices(&self.sweep.points))
     }
 
     /// Returns what the directions of the points say about their numbers; `None` if no number can belong to a
@@ -111,18 +121,21 @@ impl SweepRows {
     ) -> Result<Sweep, FileError> {
         self.check_points(path)?;
         let has_devices = self.has_devices();
-        let Self { mut sweep, devices, intensities, rings, wrong_devices } = self;
+        let Self { mut sweep, devices, are_sources, intensities, rings, wrong_devices } = self;
         count(&mut sweep.notes, INTENSITIES, intensities);
         count(&mut sweep.notes, RINGS, rings);
         count(&mut sweep.notes, DEVICES, wrong_devices);
         sweep.devices = match (meaning, found) {
             (RingMeaning::Device, _) => true,
+            (RingMeaning::Auto, _) if are_sources => has_devices,
             (RingMeaning::Beam, _) | (RingMeaning::Auto, None) => false,
             // The name of the column says that it numbers LiDARs, unless its values contradict.
             (RingMeaning::Auto, Some(found)) if has_devices => found != Evidence::Beams,
             (RingMeaning::Auto, Some(found)) => found == Evidence::Devices,
         };
-        if meaning == RingMeaning::Auto && found.is_some() {
+        if meaning == RingMeaning::Auto && are_sources {
+            count(&mut sweep.notes, SOURCES, usize::from(has_devices));
+        } else if meaning == RingMeaning::Auto && found.is_some() {
             let note = match (sweep.devices, has_devices) {
                 (true, _) => MERGED,
                 (false, true) => BEAMS,
