@@ -22,7 +22,7 @@ const MAX_ENTRIES: usize = 1000;
 
 /// Returns the folder of the tables: `root/version`, or the only folder in `root` with tables, whatever its
 /// name.
-fn version_folder(root: &Path, version: Option<&str>) -> Result<PathBuf, DatasetError> {
+pub(super) fn version_folder(root: &Path, version: Option<&str>) -> Result<PathBuf, DatasetError> {
     let folders = folders_in(root, usize::MAX)?;
     let known: Vec<&String> = folders.iter().filter(|name| is_taken(&root.join(name).join(MARK))).collect();
     let usual: Vec<&String> = folders.iter().filter(|name| name.starts_with(USUAL)).collect();

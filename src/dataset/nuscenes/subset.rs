@@ -13,7 +13,7 @@ use rustc_hash::FxHashMap;
 use serde::Serialize;
 use serde_json::{Map, Value};
 
-use super::choose::table_folder;
+use super::choose::version_folder;
 use super::interpolate::write;
 use super::tables::rows::for_each_row;
 use super::tables::{
@@ -79,7 +79,7 @@ impl TableSubset {
     /// Fails if several versions exist and none is selected, if a table is missing or damaged, or if a token
     /// is unresolved.
     pub fn read(locator: &LogLocator, images: &BTreeSet<&str>) -> Result<Self, DatasetError> {
-        let source = table_folder(locator)?;
+        let source = version_folder(&locator.path, locator.version.as_deref())?;
         let folder = source.as_path();
         let channels = Channels::read(folder)?;
         let is_image = |data: &SampleData| images.contains(data.token.as_str());

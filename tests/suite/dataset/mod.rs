@@ -15,3 +15,4 @@ mod nuscenes_map;
 mod oversized;
 mod real_log;
 mod sweeps;
+mod table_sets;
