@@ -251,6 +251,7 @@ pub fn write_t4(root: &Path) {
         set.file(&info_name, info.to_string().as_bytes());
         let mut sweep = set.data(&data, "LIDAR_CONCAT", 0, &name);
         sweep["info_filename"] = json!(info_name);
+        sweep["fileformat"] = json!("pcd.bin");
         vec![sweep]
     });
     let named =
@@ -260,8 +261,13 @@ pub fn write_t4(root: &Path) {
     for row in set.rows("calibrated_sensor") {
         row["camera_distortion"] = json!([0.0, 0.0, 0.0, 0.0, 0.0]);
     }
+    for row in set.rows("instance") {
+        row["instance_name"] = json!("project::1");
+    }
+    let date = set.rows("log")[0].as_object_mut().unwrap().remove("date_captured");
+    set.rows("log")[0]["data_captured"] = date.into();
     set.rows("object_ann");
-    set.rows("surface_ann").push(json!({"token": "s"}));
+    set.rows("vehicle_state").push(json!({"token": "v", "timestamp": 0}));
     set.file("map/lanelet2_map.osm", b"<osm/>");
     set.file("status.json", b"{}");
     set.write("annotation");
