@@ -166,17 +166,18 @@ def test_skeletons_have_the_same_points(
         assert made.tracks == true.tracks and len(made.tracks) > 10
         assert abs(made.background_points - true.background_points) <= 3
         with pskel.Renderer(made) as found, pskel.Renderer(true) as expected:
-            for one, other in zip(found.render_all(files), expected.render_all(files), strict=True):
+            for one, other in zip(found.render_all(recorded), expected.render_all(files), strict=True):
                 assert np.isfinite(other["depth"]).mean() > 0.5
                 for key in ("depth", "color", "instance"):
                     assert np.mean(np.asarray(one[key] == other[key])) > 0.9999, key
 
 
 def test_the_map_is_that_of_the_town(recorded: pskel.Log, town: pskel.Log, tmp_path: Path) -> None:
-    skeleton = pskel.build(recorded, tmp_path / "skeleton")
-    with pskel.Renderer(skeleton, maps=["map"]) as renderer:
+    skeletons = [pskel.build(log, tmp_path / log.name) for log in (recorded, town)]
+    first, second = (pskel.Renderer(skeleton, maps=["map"]) for skeleton in skeletons)
+    with first, second:
         for found, scene in zip(recorded, town, strict=True):
-            one, other = renderer.render(found)["map"], renderer.render(scene)["map"]
+            one, other = first.render(found)["map"], second.render(scene)["map"]
             assert other.any(axis=-1).mean() > 0.01
             # Outlines of lanes begin at other corners.
             assert np.mean((one == other).all(axis=-1)) > 0.999

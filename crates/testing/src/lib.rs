@@ -22,6 +22,7 @@ pub mod small_network;
 pub mod stubborn_peer;
 #[cfg(feature = "town")]
 pub mod synthetic_town;
+pub mod table_sets;
 pub mod tiny_log;
 pub mod warped_log;
 #[cfg(feature = "sim")]

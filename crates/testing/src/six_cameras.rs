@@ -1,5 +1,6 @@
 //! A synthetic log with the sensors of nuScenes: six cameras around the ego, and a LiDAR that turns twice
-//! between frames. It is generated once, and written as a nuScenes data set.
+//! between frames. It is generated once, and written as a nuScenes data set; `table_sets` writes it as other
+//! data sets in this layout.
 //!
 //! Six frames 200 ms apart. The ego drives 1 m per frame along x; a car drives ahead of it at the same speed,
 //! a second one overtakes on the left, a cone is static.
@@ -23,8 +24,8 @@ use crate::tiny_log::{camera_rotation, tree, write_tree};
 pub const FRAMES: usize = 6;
 /// Folder of the written tables.
 pub const VERSION: &str = "v1.0-mini";
-const FIRST_US: i64 = 1_600_000_000_000_000;
-const STEP_US: i64 = 200_000;
+pub const FIRST_US: i64 = 1_600_000_000_000_000;
+pub const STEP_US: i64 = 200_000;
 /// Height and width.
 const SIZE: [u32; 2] = [90, 160];
 const LIDAR_Z: f64 = 1.8;
@@ -49,7 +50,7 @@ fn frames_since(t_us: i64) -> f64 {
 }
 
 /// Returns the pose of the ego; the start is far from the origin of coordinates.
-fn ego_at(t_us: i64) -> Pose {
+pub fn ego_at(t_us: i64) -> Pose {
     Pose::from_yaw(0.0, DVec3::new(1000.0 + frames_since(t_us), 600.0, 0.0))
 }
 
@@ -68,7 +69,7 @@ fn boxes(t_us: i64) -> Vec<TrackBox> {
 }
 
 /// Returns global points: rings on the ground, and the sides of the boxes.
-fn points(t_us: i64) -> Vec<DVec3> {
+pub fn points(t_us: i64) -> Vec<DVec3> {
     let ego = ego_at(t_us).translation;
     let ring = |i: u32| {
         let (radius, angle) = (3.0 + 1.5 * f64::from(i / 120), f64::from(i % 120) * PI / 60.0);
@@ -164,14 +165,19 @@ impl LogReader for SixCameras {
     }
 }
 
-/// Writes the files of the data set whose names are selected.
-pub fn copy_to(folder: &Path, wanted: impl Fn(&str) -> bool) {
+/// Returns the files of the data set by name.
+pub fn files() -> &'static BTreeMap<String, Vec<u8>> {
     static FILES: LazyLock<BTreeMap<String, Vec<u8>>> = LazyLock::new(|| {
         let folder = tempfile::tempdir().unwrap();
         write_log(folder.path(), VERSION, &SixCameras::new()).unwrap();
         tree(folder.path())
     });
-    write_tree(folder, FILES.iter().filter(|(name, _)| wanted(name)));
+    &FILES
+}
+
+/// Writes the files of the data set whose names are selected.
+pub fn copy_to(folder: &Path, wanted: impl Fn(&str) -> bool) {
+    write_tree(folder, files().iter().filter(|(name, _)| wanted(name)));
 }
 
 /// Writes all files to a folder and opens the log there.

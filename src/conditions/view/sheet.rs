@@ -35,11 +35,14 @@ const TITLE: u32 = 28;
 /// Width of the depth legend, pixels.
 const BAR: u32 = 160;
 
-/// Camera layouts of known rigs: two rows each, forward and backward, from left to right.
-const RIGS: [[&[&str]; 2]; 7] = [
+/// Camera layouts of known rigs: two rows each, forward and backward, from left to right. Those of nuScenes,
+/// Lyft Level 5 and T4 (which have further cameras), nuPlan without and with side cameras, TruckScenes,
+/// 123D, Argoverse 2.
+const RIGS: [[&[&str]; 2]; 8] = [
     [&["CAM_FRONT_LEFT", "CAM_FRONT", "CAM_FRONT_RIGHT"], &["CAM_BACK_LEFT", "CAM_BACK", "CAM_BACK_RIGHT"]],
     [&["CAM_L0", "CAM_F0", "CAM_R0"], &["CAM_L1", "CAM_B0", "CAM_R1"]],
     [&["CAM_L1", "CAM_L0", "CAM_F0", "CAM_R0", "CAM_R1"], &["CAM_L2", "CAM_B0", "CAM_R2"]],
+    [&["CAMERA_LEFT_FRONT", "CAMERA_RIGHT_FRONT"], &["CAMERA_LEFT_BACK", "CAMERA_RIGHT_BACK"]],
     [&["PCAM_L0", "PCAM_F0", "PCAM_R0"], &["PCAM_L1", "PCAM_B0", "PCAM_R1"]],
     [&["PCAM_L1", "PCAM_L0", "PCAM_F0", "PCAM_R0", "PCAM_R1"], &["PCAM_L2", "PCAM_B0", "PCAM_R2"]],
     [&["FTCAM_L0", "FTCAM_F0", "FTCAM_TELE_F0", "FTCAM_R0"], &["FTCAM_L1", "FTCAM_TELE_B0", "FTCAM_R1"]],
@@ -146,7 +149,10 @@ impl Grid {
         let height = set.cameras.iter().map(|c| fitted(c.size(), width).height).max().unwrap_or(1);
         let (tile, count) = (ImageSize { height, width }, set.cameras.len());
         let names: Vec<&str> = set.cameras.iter().map(|c| c.name.as_str()).collect();
-        let places = RIGS.iter().find_map(|rig| places_in_rig(rig, &names));
+        let rigs =
+            || RIGS.iter().filter(|rig| rig.iter().copied().flatten().all(|name| names.contains(name)));
+        let rig = rigs().max_by_key(|rig| rig[0].len() + rig[1].len());
+        let places = rig.map(|rig| places_in_rig(rig, &names));
         let places = places.unwrap_or_else(|| (0..count as u32).map(|i| [i % 3, i / 3]).collect());
         let end = |axis: usize| places.iter().map(|place| place[axis] + 1).max().unwrap_or(0);
         let (columns, rows) = (end(0), end(1));
@@ -172,14 +178,19 @@ impl Grid {
     }
 }
 
-/// Returns column and row of each camera; `None` unless the names are exactly the cameras of the rig.
-fn places_in_rig(rig: &[&[&str]; 2], names: &[&str]) -> Option<Vec<[u32; 2]>> {
-    let place = |name: &&str| {
+/// Returns column and row of each camera. Cameras that do not belong to the rig are in rows below, in list
+/// order.
+fn places_in_rig(rig: &[&[&str]; 2], names: &[&str]) -> Vec<[u32; 2]> {
+    let columns = rig[0].len().max(rig[1].len()) as u32;
+    let mut others = 0..;
+    let mut place = |name: &&str| {
         let in_row = |row: usize| Some([rig[row].iter().position(|n| n == name)? as u32, row as u32]);
-        in_row(0).or_else(|| in_row(1))
+        in_row(0).or_else(|| in_row(1)).unwrap_or_else(|| {
+            let other = others.next().unwrap_or_default();
+            [other % columns, 2 + other / columns]
+        })
     };
-    let whole = names.len() == rig[0].len() + rig[1].len();
-    names.iter().map(place).collect::<Option<Vec<_>>>().filter(|_| whole)
+    names.iter().map(&mut place).collect()
 }
 
 /// Returns the size of an image scaled down to a width; smaller images keep their size.
@@ -379,6 +390,15 @@ mod tests {
         assert_eq!((grid.columns, grid.rows), (5, 2));
         assert_eq!((grid.corners[0], grid.corners[4]), ([2 * column, 0], [column, row]));
         assert_eq!((grid.corners[7], grid.corners[2]), ([column, 0], [4 * column, 0]));
+        let trucks = ["CAMERA_LEFT_FRONT", "CAMERA_RIGHT_FRONT", "CAMERA_RIGHT_BACK", "CAMERA_LEFT_BACK"];
+        let expected = [[0, 0], [column, 0], [column, row], [0, row]];
+        assert_eq!(Grid::of(&named(&trucks), 448).corners, expected);
+        // Further cameras of a known rig are below it.
+        let more = [&order[..], &["CAM_FRONT_ZOOMED"], &["a", "b", "c"]].concat();
+        let grid = Grid::of(&named(&more), 448);
+        assert_eq!((grid.columns, grid.rows, grid.corners[0]), (3, 4, [column, 0]));
+        let below = [[0, 2 * row], [column, 2 * row], [2 * column, 2 * row], [0, 3 * row]];
+        assert_eq!(grid.corners[6..], below);
         // Cameras of an unknown rig are in list order.
         assert_eq!(Grid::of(&named(&["a", "b", "c", "d"]), 448).corners[3], [0, row]);
         assert_eq!(Grid::of(&named(&["CAM_BACK"]), 448).corners, [[0, 0]]);

@@ -23,8 +23,6 @@ pub use super::sweeps::pcd::{check_pcd_file, parse_pcd, read_pcd_file};
 
 pub use place::{expand, expand_set};
 
-use std::path::Path;
-
 use super::{
     DatasetError, ImageRecord, LogFormat, LogLocator, LogReader, Recording, Sweep, SweepRecord, VectorMap,
     read_picture,
@@ -78,8 +76,9 @@ impl LogReader for NuPlan {
     }
 
     fn read_sweep(&self, record: &SweepRecord) -> Result<Sweep, DatasetError> {
-        let rows = |path: &Path| pcd_rows(&read_file(path, SWEEP_BYTES)?, path);
-        Ok(self.rings.read(&self.log, &record.path, rows)?)
+        let rows =
+            |record: &SweepRecord| pcd_rows(&read_file(&record.path, SWEEP_BYTES)?, |_| None, &record.path);
+        Ok(self.rings.read(&self.log, record, rows)?)
     }
 
     fn check_sweep(&self, record: &SweepRecord) -> Result<Option<u64>, DatasetError> {

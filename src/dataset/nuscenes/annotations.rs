@@ -29,16 +29,18 @@ pub(super) fn read(
     chain: &Chain,
     notes: &mut Notes,
 ) -> Result<Annotations, DatasetError> {
-    let mut annotations = version.rows()?.annotations(scene)?;
+    let mut annotations = version.rows()?.annotations(scene, &version.folder)?;
     annotations.retain(|a| chain.place.contains_key(&a.sample_token));
+    if annotations.records.is_empty() {
+        notes.gap(Gap::record(NO_ANNOTATIONS, "frames are without actors", &annotations.path));
+        let none = |_| (Vec::new(), Vec::new());
+        return Ok(Annotations { tracks: Vec::new(), frames: chain.times_us.iter().map(none).collect() });
+    }
     let needed: FxHashSet<&str> = annotations.records.iter().map(|a| a.instance_token.as_str()).collect();
     let mut instances = Table::<Instance>::load(&version.folder)?;
     instances.retain(|i| needed.contains(i.token.as_str()));
     instances.sort_by_token();
     let categories = Table::<Category>::load(&version.folder)?;
-    if annotations.records.is_empty() {
-        notes.gap(Gap::record(NO_ANNOTATIONS, "frames are without actors", &annotations.path));
-    }
     // Boxes without an instance or a category are skipped.
     annotations.retain(|annotation| match missing(annotation, &instances, &categories) {
         Some(gap) => {

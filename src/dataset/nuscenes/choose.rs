@@ -2,13 +2,14 @@
 
 use std::path::{Path, PathBuf};
 
+use super::folders;
 use super::tables::{LogRecord, Scene, Table};
 use crate::dataset::{DatasetError, LogLocator};
 use crate::error::FileError;
 use crate::files::input::is_taken;
 
 /// Table that identifies a folder of tables.
-const MARK: &str = "scene.json";
+pub(super) const MARK: &str = "scene.json";
 
 /// Prefix of nuScenes' own version names.
 const USUAL: &str = "v1.0-";
@@ -45,14 +46,28 @@ pub(super) fn version_folder(root: &Path, version: Option<&str>) -> Result<PathB
     Err(FileError::content(expected, found, root).into())
 }
 
-/// Returns whether a folder contains folders of tables.
+/// Returns whether a folder contains tables of scenes, or folders of such scenes.
 pub(super) fn has_tables(root: &Path) -> bool {
-    let folders = folders_in(root, MAX_ENTRIES).unwrap_or_default();
+    has_own_tables(root, MAX_ENTRIES) || folders::has_scenes(root, MAX_ENTRIES)
+}
+
+/// Returns whether a folder contains folders of tables. Looks at up to `most` of its entries.
+pub(super) fn has_own_tables(root: &Path, most: usize) -> bool {
+    let folders = folders_in(root, most).unwrap_or_default();
     folders.iter().any(|name| is_taken(&root.join(name).join(MARK)))
 }
 
+/// Returns the folder of a locator's tables.
+///
+/// # Errors
+/// Fails if there are none, or if several versions, revisions or scenes exist and none is selected.
+pub(super) fn table_folder(locator: &LogLocator) -> Result<PathBuf, DatasetError> {
+    let locator = folders::resolve(locator)?;
+    version_folder(&locator.path, locator.version.as_deref())
+}
+
 /// Returns the names of the folders in a folder, sorted. Looks at up to `most` of its entries.
-fn folders_in(root: &Path, most: usize) -> Result<Vec<String>, FileError> {
+pub(super) fn folders_in(root: &Path, most: usize) -> Result<Vec<String>, FileError> {
     let mut names = Vec::new();
     for entry in std::fs::read_dir(root).map_err(FileError::io("read", root))?.take(most) {
         let entry = entry.map_err(FileError::io("read", root))?;
@@ -109,6 +124,30 @@ pub(super) fn choose_scene<'a>(
     Err(DatasetError::Scene { found: wanted.map(Into::into), scenes: names, path: scenes.path.clone() })
 }
 
+/// Table of logs, if a scene of the version names one: those of TruckScenes do not.
+pub(super) struct Logs(Option<Table<LogRecord>>);
+
+impl Logs {
+    /// Reads the table that scenes refer to.
+    ///
+    /// # Errors
+    /// Fails if it is missing or damaged, unless no scene names a log.
+    pub(super) fn of(tables: &Path, scenes: &[Scene]) -> Result<Self, FileError> {
+        let is_named = scenes.iter().any(|scene| !scene.log_token.is_empty());
+        Ok(Self(if is_named { Some(Table::load(tables)?) } else { None }))
+    }
+
+    /// Returns where a scene was recorded; `None` if it names no log.
+    ///
+    /// # Errors
+    /// Fails if the table does not hold the log.
+    pub(super) fn location(&self, scene: &Scene) -> Result<Option<&str>, DatasetError> {
+        let Some(logs) = self.0.as_ref().filter(|_| !scene.log_token.is_empty()) else { return Ok(None) };
+        let log = logs.get(&scene.log_token, || format!("scene {}", scene.token))?;
+        Ok(Some(&log.location))
+    }
+}
+
 /// Returns the scenes that a locator refers to, sorted by name. `#*` selects all scenes of the version,
 /// `#LOCATION` those recorded there; otherwise the locator itself is returned. Scene names take precedence
 /// over locations.
@@ -117,16 +156,19 @@ pub(super) fn choose_scene<'a>(
 /// Fails if tables are missing or damaged, or `#SCENE` is neither a scene nor a location.
 pub fn expand(locator: &LogLocator) -> Result<Vec<LogLocator>, DatasetError> {
     let Some(wanted) = locator.scene.as_deref() else { return Ok(vec![locator.clone()]) };
-    let tables = version_folder(&locator.path, locator.version.as_deref())?;
+    if let Some(logs) = folders::expand(locator)? {
+        return Ok(logs);
+    }
+    let tables = table_folder(locator)?;
     let scenes = Table::<Scene>::load(&tables)?;
     if scenes.records.iter().any(|scene| scene.name == wanted || scene.token == wanted) {
         return Ok(vec![locator.clone()]);
     }
-    let logs = Table::<LogRecord>::load(&tables)?;
+    let logs = Logs::of(&tables, &scenes.records)?;
     let mut names = Vec::new();
     for scene in &scenes.records {
-        let log = logs.get(&scene.log_token, || format!("scene {}", scene.token))?;
-        if wanted == "*" || log.location == wanted {
+        let location = logs.location(scene)?;
+        if wanted == "*" || location == Some(wanted) {
             names.push(scene.name.clone());
         }
     }

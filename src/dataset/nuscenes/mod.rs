@@ -3,12 +3,14 @@
 //! # How it works
 //! `tables` defines the raw records, `version` finds the records of one scene, `read` converts them to a
 //! [`Recording`], and `sweep` reads and writes sweep files. `interpolate` writes tables at a higher rate, and
-//! `subset` tables of some samples.
+//! `subset` tables of some samples. `folders` finds the tables of other data sets in this layout: TIER IV's T4
+//! and Lyft Level 5.
 //! Format: <https://www.nuscenes.org/nuscenes#data-format>.
 
 mod annotations;
 mod chain;
 mod choose;
+mod folders;
 mod frames;
 mod interpolate;
 mod lens;
@@ -18,14 +20,20 @@ mod retime;
 mod sensors;
 mod subset;
 mod sweep;
+mod sweep_info;
 mod tables;
+mod unread;
+mod unsorted;
 mod version;
 mod write;
 mod write_map;
 
 pub use choose::expand;
+use folders::SensorFiles;
+use frames::SweepInfos;
 pub use interpolate::{ANNOTATED_HZ, InterpolatedCounts, interpolate_tables};
 pub use map::read_map_file;
+use read::SceneLog;
 pub use subset::{SubsetSample, TableSubset};
 pub use sweep::{POINT_BYTES, parse_sweep, read_sweep_file, write_sweep_file};
 #[cfg(feature = "123d")]
@@ -35,7 +43,7 @@ use version::Version;
 pub use write::{LogWriter, write_log};
 pub use write_map::{MapLayers, RoadSegment, write_map};
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use super::limits::check_roots;
@@ -51,6 +59,7 @@ use crate::files::input::DataRoot;
 pub struct NuScenes {
     log: Recording,
     box_points: Vec<Vec<Option<u32>>>,
+    infos: SweepInfos,
     root: PathBuf,
     /// Folder of maps, if not the default one.
     map_root: Option<PathBuf>,
@@ -58,7 +67,8 @@ pub struct NuScenes {
 }
 
 impl NuScenes {
-    /// Reads the tables in `PATH/VERSION`. Defaults to the only folder with tables and to the only scene.
+    /// Reads the tables in `PATH/VERSION`. Defaults to the only folder with tables and to the only scene. `PATH`
+    /// may also be a scene of T4, of which it takes the latest revision by default, or a folder of such scenes.
     /// Opens no sweeps, images or maps.
     ///
     /// # Errors
@@ -67,7 +77,8 @@ impl NuScenes {
     /// (unless [`LogLocator::allow_outside`]), or a camera name is not a valid folder name. Fails if poses,
     /// cameras or boxes are invalid, or if several versions or scenes exist and none is selected.
     pub fn open(locator: &LogLocator) -> Result<Self, DatasetError> {
-        Self::of(&Version::open(locator)?, locator)
+        let locator = folders::resolve(locator)?;
+        Self::of(&Version::open(&locator)?, &locator)
     }
 
     /// Reads a scene of a version.
@@ -78,9 +89,17 @@ impl NuScenes {
         check_roots(locator)?;
         let sensors = locator.sensor_root.as_ref().unwrap_or(&locator.path).clone();
         let sensors = DataRoot { path: sensors, allow_outside: locator.allow_outside };
-        let (log, box_points) = read::read(&sensors, version, locator.scene.as_deref(), &locator.reading)?;
+        let files = SensorFiles::new(sensors, &version.folder);
+        let SceneLog { log, box_points, infos } = read::read(&files, version, locator)?;
         let (root, map_root) = (locator.path.clone(), locator.map_root.clone());
-        Ok(Self { log, box_points, root, map_root, rings: RingDecision::new(locator.reading.rings) })
+        Ok(Self { log, box_points, infos, root, map_root, rings: RingDecision::new(locator.reading.rings) })
+    }
+}
+
+impl NuScenes {
+    /// Returns the path of the file that describes a sweep, if it has one.
+    fn info_of(&self, sweep: &Path) -> Option<&Path> {
+        self.infos.get(sweep).map(PathBuf::as_path)
     }
 }
 
@@ -92,8 +111,14 @@ pub static FORMAT: LogFormat = LogFormat {
     detect: choose::has_tables,
     check: LogFormat::unchecked,
     expand,
-    outline: |locator, opener| version(locator, opener)?.outline(locator),
-    open: |locator, opener| Ok(Box::new(NuScenes::of(&*version(locator, opener)?, locator)?)),
+    outline: |locator, opener| {
+        let locator = folders::resolve(locator)?;
+        version(&locator, opener)?.outline(&locator)
+    },
+    open: |locator, opener| {
+        let locator = folders::resolve(locator)?;
+        Ok(Box::new(NuScenes::of(&*version(&locator, opener)?, &locator)?))
+    },
 };
 
 /// Returns the tables of a locator.
@@ -107,11 +132,12 @@ impl LogReader for NuScenes {
     }
 
     fn read_sweep(&self, record: &SweepRecord) -> Result<Sweep, DatasetError> {
-        Ok(self.rings.read(&self.log, &record.path, sweep::read_rows)?)
+        let read = |record: &SweepRecord| sweep::read_rows(&record.path, self.info_of(&record.path));
+        Ok(self.rings.read(&self.log, record, read)?)
     }
 
     fn check_sweep(&self, record: &SweepRecord) -> Result<Option<u64>, DatasetError> {
-        Ok(Some(sweep::check(&record.path)?))
+        Ok(Some(sweep::check(&record.path, self.info_of(&record.path))?))
     }
 
     fn read_image(&self, record: &ImageRecord) -> Result<image::RgbImage, DatasetError> {

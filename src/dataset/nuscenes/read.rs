@@ -1,30 +1,43 @@
 //! Conversion of one scene's tables to a [`Recording`].
 
 use super::chain::Chain;
-use super::tables::{LogRecord, Table};
+use super::folders::SensorFiles;
+use super::frames::SweepInfos;
 use super::version::Version;
-use super::{annotations, choose, frames};
+use super::{annotations, choose, frames, unread};
 use crate::dataset::clock::{Unit, note_interval};
-use crate::dataset::recording::notes::{Notes, settle};
-use crate::dataset::{BoxPoints, DatasetError, Frame, ReadOptions, Recording, RigCamera};
-use crate::files::input::DataRoot;
+use crate::dataset::recording::notes::{Notes, note, settle};
+use crate::dataset::{BoxPoints, DatasetError, Frame, LogLocator, Recording, RigCamera};
 
-/// Reads the log of a scene. Also returns the stated number of LiDAR points per frame and box.
+/// Note for scenes of data sets without logs.
+const NO_LOG: &str = "scenes without a log (location and HD map unknown)";
+
+/// Log of a scene, and what its reader needs besides.
+pub(super) struct SceneLog {
+    pub(super) log: Recording,
+    /// Stated number of LiDAR points per frame and box.
+    pub(super) box_points: BoxPoints,
+    pub(super) infos: SweepInfos,
+}
+
+/// Reads the log of a scene.
 pub(super) fn read(
-    root: &DataRoot,
+    files: &SensorFiles,
     version: &Version,
-    wanted_scene: Option<&str>,
-    reading: &ReadOptions,
-) -> Result<(Recording, BoxPoints), DatasetError> {
-    let scene = choose::choose_scene(&version.scenes, wanted_scene)?;
-    let logs = Table::<LogRecord>::load(&version.folder)?;
-    let recorded = logs.get(&scene.log_token, || format!("scene {}", scene.token))?;
+    locator: &LogLocator,
+) -> Result<SceneLog, DatasetError> {
+    let reading = &locator.reading;
+    let scene = choose::choose_scene(&version.scenes, locator.scene.as_deref())?;
+    let logs = choose::Logs::of(&version.folder, std::slice::from_ref(scene))?;
+    let location = logs.location(scene)?;
 
     let mut notes = Notes::new();
+    note(&mut notes, NO_LOG, usize::from(location.is_none()));
     let chain = Chain::of(&version.samples, scene, &mut notes)?;
-    let shots = frames::read(root, version, scene, &chain, reading.distortion, &mut notes)?;
+    let shots = frames::read(files, version, scene, &chain, reading.distortion, &mut notes)?;
     note_interval(&chain.times_us, Unit::MICROS, &mut notes);
     let annotated = annotations::read(version, scene, &chain, &mut notes)?;
+    unread::note_unread(version, scene, locator, location.unwrap_or_default(), &mut notes);
     let (mut log_frames, mut box_points) = (Vec::new(), Vec::new());
     for ((t_us, shot), (boxes, points)) in chain.times_us.iter().zip(shots.frames).zip(annotated.frames) {
         let Some(shot) = shot else { continue };
@@ -36,7 +49,7 @@ pub(super) fn read(
     let mut log = Recording {
         name: scene.name.clone(),
         token: scene.token.clone(),
-        location: recorded.location.clone(),
+        location: location.unwrap_or_default().to_owned(),
         description: scene.description.clone(),
         cameras: shots.cameras,
         rig: RigCamera::first_used(&log_frames),
@@ -46,5 +59,5 @@ pub(super) fn read(
         ..Recording::default()
     };
     settle(&mut log, notes)?;
-    Ok((log, box_points))
+    Ok(SceneLog { log, box_points, infos: shots.infos })
 }

@@ -14,12 +14,12 @@ use serde::Serialize;
 use serde_json::{Map, Value};
 
 use super::choose::version_folder;
-use super::frames::MAIN_LIDAR;
 use super::interpolate::write;
 use super::tables::rows::for_each_row;
 use super::tables::{
     Annotation, CalibratedSensor, EgoPose, Instance, LogRecord, Record, Sample, SampleData, Scene, Sensor,
 };
+use super::unsorted::MAIN_LIDAR;
 use crate::dataset::{DatasetError, LogLocator};
 use crate::error::FileError;
 use crate::files::input::is_there;

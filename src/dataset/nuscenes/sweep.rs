@@ -5,6 +5,7 @@ use std::io::Write;
 use std::os::unix::fs::FileExt;
 use std::path::Path;
 
+use super::sweep_info::SweepInfo;
 use crate::dataset::sweeps::pcd::{HEAD_BYTES, check_pcd, pcd_rows};
 use crate::dataset::sweeps::{ReadAt, SweepRow, SweepRows, columns, is_pcd, named_format};
 use crate::dataset::{RingMeaning, Sweep, SweepPoint};
@@ -14,6 +15,9 @@ use crate::files::write_whole;
 
 /// Bytes per point in a `.pcd.bin` file.
 pub const POINT_BYTES: usize = 20;
+
+/// Note for sweeps whose description is missing.
+const NO_INFO: &str = "sweeps whose info_filename does not exist (columns judged by their values)";
 
 /// Note for sweeps of four columns.
 const NO_RING: &str = "sweeps of four columns (x y z intensity), without rings";
@@ -25,15 +29,21 @@ const NO_RING: &str = "sweeps of four columns (x y z intensity), without rings";
 /// Fails if the file is missing or empty, or has another format or layout. Fails if no point has finite
 /// coordinates, or all are at the origin.
 pub fn read_sweep_file(path: &Path) -> Result<Sweep, FileError> {
-    read_rows(path)?.finish(RingMeaning::Auto, path)
+    read_rows(path, None)?.finish(RingMeaning::Auto, path)
 }
 
-/// Reads the points of a sweep file.
+/// Reads the points of a sweep file. `info` is the path of the file that describes it.
 ///
 /// # Errors
-/// Fails as [`read_sweep_file`], except that points may be missing.
-pub(in crate::dataset) fn read_rows(path: &Path) -> Result<SweepRows, FileError> {
-    parse_rows(&read_file(path, SWEEP_BYTES)?, path)
+/// Fails as [`read_sweep_file`], except that points may be missing. Fails if the description cannot be read or
+/// contradicts the length of the file.
+pub(in crate::dataset) fn read_rows(path: &Path, info: Option<&Path>) -> Result<SweepRows, FileError> {
+    let known = info.map_or(Ok(None), SweepInfo::read)?;
+    let mut rows = parse_rows(&read_file(path, SWEEP_BYTES)?, known.as_ref(), path)?;
+    if info.is_some() && known.is_none() {
+        rows.note(NO_INFO);
+    }
+    Ok(rows)
 }
 
 /// Parses the bytes of a sweep file; `path` is for messages. Drops and counts points with a NaN or infinite
@@ -42,43 +52,59 @@ pub(in crate::dataset) fn read_rows(path: &Path) -> Result<SweepRows, FileError>
 /// # Errors
 /// Fails as [`read_sweep_file`].
 pub fn parse_sweep(bytes: &[u8], path: &Path) -> Result<Sweep, FileError> {
-    parse_rows(bytes, path)?.finish(RingMeaning::Auto, path)
+    parse_rows(bytes, None, path)?.finish(RingMeaning::Auto, path)
 }
 
-fn parse_rows(bytes: &[u8], path: &Path) -> Result<SweepRows, FileError> {
+fn parse_rows(bytes: &[u8], info: Option<&SweepInfo>, path: &Path) -> Result<SweepRows, FileError> {
+    let source = |row: usize| info.and_then(|info| info.source(row));
     if is_pcd(bytes) {
-        return pcd_rows(bytes, path);
+        return pcd_rows(bytes, source, path);
     }
     // The layout asks for bytes within the file only.
     let read = |start: u64, length: usize| Ok(bytes[start as usize..start as usize + length].to_vec());
-    let columns = columns_of(bytes, &read, bytes.len() as u64, path)?;
+    let columns = columns_of(bytes, &read, bytes.len() as u64, info, path)?;
     let mut sweep = SweepRows::with_capacity(bytes.len() / (4 * columns));
-    for row in bytes.chunks_exact(4 * columns) {
+    for (number, row) in bytes.chunks_exact(4 * columns).enumerate() {
         let (numbers, _) = row.as_chunks::<4>();
         let value = |i: usize| numbers.get(i).map_or(0.0, |bytes| f32::from_le_bytes(*bytes));
         let (position, intensity, ring) = ([value(0), value(1), value(2)], value(3), f64::from(value(4)));
-        sweep.push(SweepRow { position, intensity, ring, device: None });
+        sweep.push_of(SweepRow { position, intensity, ring, device: None }, source(number));
     }
-    if 4 * columns != POINT_BYTES {
+    if 4 * columns < POINT_BYTES {
         sweep.note(NO_RING);
     }
     Ok(sweep)
 }
 
-/// Returns the column count of rows without a header, in a file with `length` bytes that begins with `head`.
-fn columns_of(head: &[u8], read: &ReadAt<'_>, length: u64, path: &Path) -> Result<usize, FileError> {
+/// Returns the column count of rows without a header, in a file with `length` bytes that begins with `head`:
+/// the one in its description, or the one that its values have.
+fn columns_of(
+    head: &[u8],
+    read: &ReadAt<'_>,
+    length: u64,
+    info: Option<&SweepInfo>,
+    path: &Path,
+) -> Result<usize, FileError> {
     if let Some(found) = named_format(head) {
         let expected = "rows of floats (x y z intensity ring) or a PCD file";
         return Err(FileError::content(expected, found, path));
     }
-    columns(read, length, path)
+    let Some(stated) = info.and_then(|info| info.columns).filter(|_| length > 0) else {
+        return columns(read, length, path);
+    };
+    if !length.is_multiple_of(4 * stated as u64) {
+        let expected = format!("a multiple of {} bytes (num_pts_feats {stated})", 4 * stated);
+        return Err(FileError::content(expected, format!("{length} bytes"), path));
+    }
+    Ok(stated)
 }
 
 /// Returns the number of points in a file from its size and parts of it.
 ///
 /// # Errors
-/// Fails as [`read_sweep_file`], except for errors in the points themselves.
-pub(in crate::dataset) fn check(path: &Path) -> Result<u64, FileError> {
+/// Fails as [`read_rows`], except for errors in the points themselves.
+pub(in crate::dataset) fn check(path: &Path, info: Option<&Path>) -> Result<u64, FileError> {
+    let info = info.map_or(Ok(None), SweepInfo::read)?;
     let (file, length) = open_up_to(path, SWEEP_BYTES)?;
     let read = |start: u64, length: usize| {
         let mut bytes = vec![0; length];
@@ -89,7 +115,7 @@ pub(in crate::dataset) fn check(path: &Path) -> Result<u64, FileError> {
     if is_pcd(&head) {
         return check_pcd(&head, length, path);
     }
-    Ok(length / (4 * columns_of(&head, &read, length, path)? as u64))
+    Ok(length / (4 * columns_of(&head, &read, length, info.as_ref(), path)? as u64))
 }
 
 /// Writes a `.pcd.bin` file.
@@ -166,7 +192,7 @@ mod tests {
             let folder = tempfile::tempdir().unwrap();
             let path = folder.path().join("a.pcd.bin");
             std::fs::write(&path, &file).unwrap();
-            assert_eq!(check(&path).unwrap(), 7);
+            assert_eq!(check(&path, None).unwrap(), 7);
         }
     }
 

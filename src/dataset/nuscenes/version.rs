@@ -9,12 +9,14 @@ use rustc_hash::{FxBuildHasher, FxHashMap};
 use serde::Deserialize;
 
 use super::chain::Chain;
-use super::choose::{choose_scene, version_folder};
+use super::choose::{choose_scene, table_folder};
 use super::tables::rows::{RowFile, RowPlace, for_each_row};
-use super::tables::{Annotation, EgoPose, Record, Sample, SampleData, Scene, Table};
+use super::tables::{Annotation, EgoPose, Instance, Record, Sample, SampleData, Scene, Table};
+use crate::dataset::lenient::or_default;
 use crate::dataset::recording::notes::Notes;
 use crate::dataset::{DatasetError, LogLocator, LogOutline};
 use crate::error::FileError;
+use crate::files::input::is_taken;
 use crate::files::json;
 
 /// Scenes and samples of a version, and where the rows of each scene are in the large tables.
@@ -32,7 +34,8 @@ pub(in crate::dataset) struct Version {
 #[derive(Debug)]
 pub(super) struct SceneRows {
     data: RowsByScene,
-    annotations: RowsByScene,
+    /// `None` for data sets without annotations.
+    annotations: Option<RowsByScene>,
     poses: RowsByToken,
 }
 
@@ -42,6 +45,8 @@ struct RowsByScene {
     file: RowFile,
     /// Token of the scene, and its rows in file order.
     rows: FxHashMap<String, Vec<RowPlace>>,
+    /// Number of rows that name no sample, although there are several scenes.
+    unassigned: usize,
 }
 
 /// Rows of a table by the hash of their token.
@@ -55,13 +60,14 @@ struct RowsByToken {
 /// The field that assigns rows to scenes.
 #[derive(Deserialize)]
 struct SampleOf<'a> {
-    #[serde(borrow)]
+    #[serde(borrow, default)]
     sample_token: Cow<'a, str>,
 }
 
 /// [`SampleOf`] a row that is not strict JSON.
 #[derive(Deserialize)]
 struct OwnedSampleOf {
+    #[serde(default, deserialize_with = "or_default")]
     sample_token: String,
 }
 
@@ -84,15 +90,14 @@ impl Version {
     /// # Errors
     /// Fails if the tables are missing or damaged.
     pub(in crate::dataset) fn open(locator: &LogLocator) -> Result<Self, DatasetError> {
-        let folder = version_folder(&locator.path, locator.version.as_deref())?;
+        let folder = table_folder(locator)?;
         let (scenes, samples) = (Table::load(&folder)?, Table::load(&folder)?);
         Ok(Self { folder, scenes, samples, rows: Mutex::new(None) })
     }
 
     /// Returns whether the tables belong to a locator.
     pub(in crate::dataset) fn is_of(&self, locator: &LogLocator) -> bool {
-        let folder = version_folder(&locator.path, locator.version.as_deref());
-        folder.is_ok_and(|folder| folder == self.folder)
+        table_folder(locator).is_ok_and(|folder| folder == self.folder)
     }
 
     /// Returns the outline of a scene.
@@ -116,27 +121,44 @@ impl Version {
         }
         let (data, (annotations, poses)) = rayon::join(
             || self.rows_by_scene::<SampleData>(),
-            || rayon::join(|| self.rows_by_scene::<Annotation>(), || rows_by_token::<EgoPose>(&self.folder)),
+            || rayon::join(|| self.annotations(), || rows_by_token::<EgoPose>(&self.folder)),
         );
         let read = Arc::new(SceneRows { data: data?, annotations: annotations?, poses: poses? });
         Ok(rows.insert(read).clone())
     }
 
+    /// Returns the rows of annotations; `None` without the tables of annotations and instances, as in the test
+    /// set of Lyft Level 5.
+    fn annotations(&self) -> Result<Option<RowsByScene>, FileError> {
+        let is_there =
+            [Annotation::path(&self.folder), Instance::path(&self.folder)].iter().any(|p| is_taken(p));
+        is_there.then(|| self.rows_by_scene::<Annotation>()).transpose()
+    }
+
     fn rows_by_scene<R: Record>(&self) -> Result<RowsByScene, FileError> {
         let path = R::path(&self.folder);
         let mut rows: FxHashMap<String, Vec<RowPlace>> = FxHashMap::default();
+        let mut unassigned = 0;
         for_each_row(&path, R::TABLE, |place, row| {
             let of = serde_json::from_slice(row).map(|of: SampleOf<'_>| of.sample_token);
             let token = of.or_else(|_| json::parsed(row).map(|of: OwnedSampleOf| of.sample_token.into()))?;
-            if let Some(sample) = self.samples.find(&token) {
-                match rows.get_mut(&sample.scene_token) {
-                    Some(rows) => rows.push(place),
-                    None => _ = rows.insert(sample.scene_token.clone(), vec![place]),
-                }
+            match self.scene_of(&token).map(|scene| (scene, rows.get_mut(scene))) {
+                Some((_, Some(rows))) => rows.push(place),
+                Some((scene, None)) => _ = rows.insert(scene.to_owned(), vec![place]),
+                None => unassigned += usize::from(token.is_empty()),
             }
             Ok::<(), String>(())
         })?;
-        Ok(RowsByScene { file: RowFile::open(path)?, rows })
+        Ok(RowsByScene { file: RowFile::open(path)?, rows, unassigned })
+    }
+
+    /// Returns the scene of a row's sample. A row without one belongs to the only scene: T4 leaves the sample
+    /// of data between key frames out.
+    fn scene_of(&self, sample: &str) -> Option<&str> {
+        match (self.scenes.records.as_slice(), sample) {
+            ([only], "") => Some(&only.token),
+            _ => self.samples.find(sample).map(|sample| sample.scene_token.as_str()),
+        }
     }
 }
 
@@ -146,9 +168,17 @@ impl SceneRows {
         self.data.read(scene)
     }
 
-    /// Reads the boxes of a scene.
-    pub(super) fn annotations(&self, scene: &Scene) -> Result<Table<Annotation>, FileError> {
-        self.annotations.read(scene)
+    /// Returns the number of sweeps and images that belong to no scene.
+    pub(super) fn unassigned_data(&self) -> usize {
+        self.data.unassigned
+    }
+
+    /// Reads the boxes of a scene; none if there are no tables of them. `folder` is that of the tables.
+    pub(super) fn annotations(&self, scene: &Scene, folder: &Path) -> Result<Table<Annotation>, FileError> {
+        match &self.annotations {
+            Some(annotations) => annotations.read(scene),
+            None => Table::new(Annotation::path(folder), Vec::new()),
+        }
     }
 
     /// Reads the ego poses of tokens; those that do not exist are left out.

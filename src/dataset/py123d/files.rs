@@ -4,7 +4,7 @@ use std::path::Path;
 
 use crate::dataset::sweeps::pcd::{check_pcd_file, pcd_rows};
 use crate::dataset::sweeps::{RingDecision, SweepRows};
-use crate::dataset::{Recording, Sweep, av2, nuscenes};
+use crate::dataset::{Recording, Sweep, SweepRecord, av2, nuscenes};
 use crate::error::FileError;
 use crate::files::input::{SWEEP_BYTES, read_file};
 
@@ -38,13 +38,20 @@ impl PointFiles {
     ///
     /// # Errors
     /// Fails if the file is missing or damaged.
-    pub(super) fn read(self, path: &Path, log: &Recording, rings: &RingDecision) -> Result<Sweep, FileError> {
-        let pcd =
-            |path: &Path| -> Result<SweepRows, FileError> { pcd_rows(&read_file(path, SWEEP_BYTES)?, path) };
+    pub(super) fn read(
+        self,
+        record: &SweepRecord,
+        log: &Recording,
+        rings: &RingDecision,
+    ) -> Result<Sweep, FileError> {
+        let plain = |record: &SweepRecord| nuscenes::sweep_rows(&record.path, None);
+        let pcd = |record: &SweepRecord| -> Result<SweepRows, FileError> {
+            pcd_rows(&read_file(&record.path, SWEEP_BYTES)?, |_| None, &record.path)
+        };
         match self {
-            Self::NuScenes | Self::Kitti360 => rings.read(log, path, nuscenes::sweep_rows),
-            Self::NuPlan => rings.read(log, path, pcd),
-            Self::Argoverse => av2::read_sweep_as(path, log.reading.rings),
+            Self::NuScenes | Self::Kitti360 => rings.read(log, record, plain),
+            Self::NuPlan => rings.read(log, record, pcd),
+            Self::Argoverse => av2::read_sweep_as(&record.path, log.reading.rings),
         }
     }
 
@@ -54,7 +61,7 @@ impl PointFiles {
     /// Fails as [`PointFiles::read`], except for errors in the points themselves.
     pub(super) fn check(self, path: &Path) -> Result<u64, FileError> {
         match self {
-            Self::NuScenes | Self::Kitti360 => nuscenes::check_sweep(path),
+            Self::NuScenes | Self::Kitti360 => nuscenes::check_sweep(path, None),
             Self::NuPlan => check_pcd_file(path),
             Self::Argoverse => av2::declared_points(path),
         }

@@ -25,6 +25,8 @@ pub(super) struct LidarTable {
     /// Whether sweeps are in the ego frame at their end, as in nuScenes; otherwise at their nominal time, which is
     /// that of the frame.
     is_placed_by_end: bool,
+    /// Mounting pose of the first LiDAR.
+    pub(super) mount: Pose,
     /// Identity for stored points, which are in the ego frame.
     ego_from_lidar: Pose,
 }
@@ -36,21 +38,18 @@ impl LidarTable {
     /// Fails if the table is damaged.
     pub(super) fn open(file: ArrowFile, key: &str, files: Option<PointFiles>) -> Result<Self, DatasetError> {
         let lidars = metadata::read::<SweepMetadata>(&file)?.lidars();
-        let mut ego_from_lidar = Pose::IDENTITY;
-        if let Some(lidar) = lidars.first().filter(|_| files.is_some_and(PointFiles::are_in_lidar_frame)) {
-            ego_from_lidar = lidar.ego_from_lidar(&file)?;
-        }
+        let mount = lidars.first().map(|lidar| lidar.ego_from_lidar(&file)).transpose()?;
+        let mount = mount.unwrap_or(Pose::IDENTITY);
         let cells = CellTable::new(file, key)?;
-        if cells.kind != CellKind::Path {
-            ego_from_lidar = Pose::IDENTITY;
-        }
+        let is_raw = cells.kind == CellKind::Path && files.is_some_and(PointFiles::are_in_lidar_frame);
+        let ego_from_lidar = if is_raw { mount } else { Pose::IDENTITY };
         let is_placed_by_end = files == Some(PointFiles::NuScenes);
         let at = cells.column(if is_placed_by_end { "end_timestamp_us" } else { "timestamp_us" });
         let times_us = cells.file.table(&[&at], &[])?.column(&at)?.integers()?;
         check_times(&times_us, false, cells.file.path())?;
         let cells = cells.ready()?;
         let ids = lidars.iter().map(|lidar| lidar.lidar_id).collect();
-        Ok(Self { cells, ids, times_us, is_placed_by_end, ego_from_lidar })
+        Ok(Self { cells, ids, times_us, is_placed_by_end, mount, ego_from_lidar })
     }
 
     /// Returns the time of the pose in which the sweep of each row of `sync` is stored, where it may be another than

@@ -38,8 +38,8 @@ use super::limits::check_roots;
 use super::picture::{decode_picture, encoded_size};
 use super::sweeps::{RingDecision, SweepRow, SweepRows};
 use super::{
-    DatasetError, ImageRecord, LogFormat, LogLocator, LogReader, Recording, RingMeaning, Sweep, SweepRecord,
-    VectorMap, read_picture,
+    DatasetError, ImageRecord, LogFormat, LogLocator, LogReader, Recording, Sweep, SweepRecord, VectorMap,
+    read_picture,
 };
 use crate::error::FileError;
 
@@ -120,13 +120,15 @@ impl LogReader for Py123d {
     }
 
     fn read_sweep(&self, record: &SweepRecord) -> Result<Sweep, DatasetError> {
-        let Some(row) = record.row else {
-            let files = self.point_files(&record.path)?;
-            return Ok(files.read(&record.path, &self.tables.log, &self.rings)?);
+        let log = &self.tables.log;
+        if record.row.is_none() {
+            return Ok(self.point_files(&record.path)?.read(record, log, &self.rings)?);
+        }
+        let rows = |record: &SweepRecord| {
+            let lidar = self.lidar(&record.path)?;
+            lidar.cells.read(record.row.unwrap_or_default(), |bytes| stored_rows(bytes, lidar))
         };
-        let lidar = self.lidar(&record.path)?;
-        let meaning = self.tables.log.reading.rings;
-        Ok(lidar.cells.read(row, |bytes| stored_sweep(bytes, lidar, meaning))?)
+        Ok(self.rings.read(log, record, rows)?)
     }
 
     fn check_sweep(&self, record: &SweepRecord) -> Result<Option<u64>, DatasetError> {
@@ -164,27 +166,22 @@ impl LogReader for Py123d {
 }
 
 /// Decodes the sweep in a cell.
-fn stored_sweep(bytes: &[u8], lidar: &LidarTable, meaning: RingMeaning) -> Result<Sweep, FileError> {
-    let path = lidar.cells.file.path();
-    let points = codec::decode(bytes).map_err(|found| damaged(found, path))?;
+fn stored_rows(bytes: &[u8], lidar: &LidarTable) -> Result<SweepRows, FileError> {
+    let points = codec::decode(bytes).map_err(|found| damaged(found, lidar.cells.file.path()))?;
     let mut sweep = SweepRows::with_capacity(points.xyz.len());
-    let is_merged = lidar.ids.len() > 1;
-    let device = |i: usize| {
-        let ids = points.ids.as_ref().filter(|_| is_merged)?;
-        let place = lidar.ids.iter().position(|id| *id == ids[i]).unwrap_or(lidar.ids.len());
-        Some(place as f64)
-    };
+    sweep.set_mount(&lidar.mount);
+    let place = |id: u8| lidar.ids.iter().position(|known| *known == id).unwrap_or(lidar.ids.len());
+    let ids = points.ids.as_ref().filter(|_| lidar.ids.len() > 1);
     for (i, position) in points.xyz.iter().enumerate() {
         let intensity = points.intensity.as_ref().map_or(0.0, |all| all[i]);
         let ring = points.channel.as_ref().map_or(0.0, |all| f64::from(all[i]));
-        sweep.push(SweepRow { position: *position, intensity, ring, device: device(i) });
+        let row = SweepRow { position: *position, intensity, ring, device: None };
+        sweep.push_of(row, ids.map(|ids| place(ids[i]) as u16));
     }
     for name in &points.skipped {
         sweep.note(&format!("sweeps with the feature {name} (not read)"));
     }
-    // Unless the table says that LiDARs are merged, the column `channel` numbers beams.
-    let meaning = if is_merged || meaning == RingMeaning::Device { meaning } else { RingMeaning::Beam };
-    sweep.finish(meaning, path)
+    Ok(sweep)
 }
 
 fn damaged(found: String, path: &Path) -> FileError {

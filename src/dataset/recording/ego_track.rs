@@ -10,8 +10,12 @@ impl EgoTrack {
     pub fn new(log: &Recording) -> Self {
         let frames = log.frames.iter().map(|f| (f.t_us, f.global_from_ego));
         let sweeps = log.frames.iter().flat_map(|f| &f.sweeps).map(|s| (s.t_us, s.global_from_ego));
-        let mut poses: Vec<(i64, Pose)> = frames.chain(sweeps).collect();
         // The sort is stable: of two poses at the same time, the frame's comes first.
+        Self::of_poses(frames.chain(sweeps).collect())
+    }
+
+    /// Collects poses of any order, with absolute microseconds. Of two at the same time, the first one counts.
+    pub(in crate::dataset) fn of_poses(mut poses: Vec<(i64, Pose)>) -> Self {
         poses.sort_by_key(|(t_us, _)| *t_us);
         Self(poses)
     }

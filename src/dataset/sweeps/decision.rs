@@ -1,11 +1,10 @@
 //! What the numbers of a log's sweeps mean, decided once.
 
-use std::path::Path;
 use std::sync::OnceLock;
 
 use super::SweepRows;
 use super::devices::{Evidence, majority};
-use crate::dataset::{Recording, RingMeaning, Sweep};
+use crate::dataset::{Recording, RingMeaning, Sweep, SweepRecord};
 use crate::error::FileError;
 
 /// Number of sweeps that decide, evenly spaced over the log.
@@ -32,26 +31,26 @@ impl RingDecision {
     pub(in crate::dataset) fn read(
         &self,
         log: &Recording,
-        path: &Path,
-        read: impl Fn(&Path) -> Result<SweepRows, FileError>,
+        record: &SweepRecord,
+        read: impl Fn(&SweepRecord) -> Result<SweepRows, FileError>,
     ) -> Result<Sweep, FileError> {
-        let rows = read(path)?;
+        let rows = read(record)?;
         let found = match self.meaning {
             RingMeaning::Auto if rows.may_be_merged() => {
                 self.found.get_or_init(|| of_log(log, &read)).or_else(|| rows.evidence())
             }
             _ => None,
         };
-        rows.finish_as(self.meaning, found, path)
+        rows.finish_as(self.meaning, found, &record.path)
     }
 }
 
 /// Returns what most of a few sweeps of a log say. Sweeps that cannot be read do not count. Must not wait for
 /// other threads, which may wait for this decision.
-fn of_log(log: &Recording, read: impl Fn(&Path) -> Result<SweepRows, FileError>) -> Option<Evidence> {
+fn of_log(log: &Recording, read: impl Fn(&SweepRecord) -> Result<SweepRows, FileError>) -> Option<Evidence> {
     let records: Vec<_> = log.frames.iter().flat_map(|frame| &frame.sweeps).collect();
     let count = records.len().min(SWEEPS);
     let chosen = (0..count).map(|i| records[(2 * i + 1) * records.len() / (2 * count)]);
-    let found: Vec<Evidence> = chosen.filter_map(|record| read(&record.path).ok()?.evidence()).collect();
+    let found: Vec<Evidence> = chosen.filter_map(|record| read(record).ok()?.evidence()).collect();
     majority(&found)
 }

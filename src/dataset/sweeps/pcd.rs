@@ -59,14 +59,18 @@ pub fn read_pcd_file(path: &Path) -> Result<Sweep, FileError> {
 /// # Errors
 /// Fails as [`read_pcd_file`].
 pub fn parse_pcd(bytes: &[u8], path: &Path) -> Result<Sweep, FileError> {
-    pcd_rows(bytes, path)?.finish(RingMeaning::Auto, path)
+    pcd_rows(bytes, |_| None, path)?.finish(RingMeaning::Auto, path)
 }
 
-/// Returns the points of a PCD file.
+/// Returns the points of a PCD file. `source` returns the LiDAR of a row if it is known from elsewhere.
 ///
 /// # Errors
 /// Fails as [`read_pcd_file`], except that points may be missing.
-pub(in crate::dataset) fn pcd_rows(bytes: &[u8], path: &Path) -> Result<SweepRows, FileError> {
+pub(in crate::dataset) fn pcd_rows(
+    bytes: &[u8],
+    source: impl Fn(usize) -> Option<u16>,
+    path: &Path,
+) -> Result<SweepRows, FileError> {
     let header = parse_header(bytes, path)?;
     let end = header.end(bytes, bytes.len() as u64, path)?;
     let points = header.points(bytes, end, path)?;
@@ -74,12 +78,13 @@ pub(in crate::dataset) fn pcd_rows(bytes: &[u8], path: &Path) -> Result<SweepRow
     for row in 0..header.points {
         let number = |field: Field| points.number(field, row);
         let or_zero = |field: Option<Field>| field.map_or(0.0, number);
-        sweep.push(SweepRow {
+        let values = SweepRow {
             position: header.position.map(|field| number(field) as f32),
             intensity: or_zero(header.intensity) as f32,
             ring: or_zero(header.ring),
             device: header.device.map(number),
-        });
+        };
+        sweep.push_of(values, source(row));
     }
     for name in header.unread {
         sweep.note(&format!("sweeps whose {name} is not a single number of a known type (not read)"));

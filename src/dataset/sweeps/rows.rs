@@ -6,6 +6,7 @@ use super::devices::{Evidence, MAX_DEVICES, evidence};
 use crate::dataset::recording::notes::count;
 use crate::dataset::{RingMeaning, Sweep, SweepPoint};
 use crate::error::FileError;
+use crate::geometry::Pose;
 
 /// Notes on values of columns that are only informative.
 const INTENSITIES: &str = "points whose intensity is not finite (read as 0)";
@@ -16,6 +17,7 @@ const FEW_RINGS: &str =
     "sweeps with few ring numbers, read as beams (--ring-is device if they number merged LiDARs)";
 const BEAMS: &str = "sweeps whose lidar_info numbers beams instead of LiDARs";
 const MERGED: &str = "sweeps of merged LiDARs (--ring-is beam if not)";
+const SOURCES: &str = "sweeps of merged LiDARs, as their files say";
 
 /// Values of a point as stored. `device` is the LiDAR of a merged sweep, if the file has a column that says
 /// so.
@@ -33,6 +35,10 @@ pub(in crate::dataset) struct SweepRows {
     sweep: Sweep,
     /// Device of each point, if the file has such a column.
     devices: Vec<u16>,
+    /// Whether the devices are certain.
+    are_sources: bool,
+    /// Maps points to the frame of the LiDAR, if they are in another one.
+    lidar_from_points: Option<Pose>,
     intensities: usize,
     rings: usize,
     wrong_devices: usize,
@@ -63,21 +69,45 @@ impl SweepRows {
         }
     }
 
+    /// Adds a row of a LiDAR that is known for certain, whatever the columns say.
+    pub(in crate::dataset) fn push_of(&mut self, row: SweepRow, source: Option<u16>) {
+        self.are_sources |= source.is_some();
+        let device = source.map(f64::from).or(row.device);
+        self.push(SweepRow { device, ..row });
+    }
+
+    /// Sets the mounting pose of the LiDAR, if points are in the ego frame: directions are judged as the LiDAR saw
+    /// them.
+    #[cfg(feature = "123d")]
+    pub(in crate::dataset) fn set_mount(&mut self, ego_from_lidar: &Pose) {
+        self.lidar_from_points = Some(ego_from_lidar.inverse());
+    }
+
     /// Adds a note about the sweep.
     pub(in crate::dataset) fn note(&mut self, kind: &str) {
         count(&mut self.sweep.notes, kind, 1);
     }
 
-    /// Returns whether the points' numbers may be LiDAR numbers.
+    /// Returns whether the points' numbers may be LiDAR numbers, which their directions decide.
     pub(super) fn may_be_merged(&self) -> bool {
-        self.has_devices() || may_be_devices(&self.sweep.points)
+        !self.are_sources && (self.has_devices() || may_be_devices(&self.sweep.points))
     }
 
     /// Returns what the directions of the points say about their numbers; `None` if no number can belong to a
     /// LiDAR.
     pub(super) fn evidence(&self) -> Option<Evidence> {
-        let points = &self.sweep.points;
-        self.may_be_merged().then(|| match self.has_devices() {
+        if !self.may_be_merged() {
+            return None;
+        }
+        let from_lidar = self.lidar_from_points.map(|pose| {
+            let seen = |point: &SweepPoint| {
+                let position = pose.transform_point(point.position.map(f64::from).into());
+                SweepPoint { position: position.to_array().map(|value| value as f32), ..*point }
+            };
+            self.sweep.points.iter().map(seen).collect::<Vec<_>>()
+        });
+        let points = from_lidar.as_deref().unwrap_or(&self.sweep.points);
+        Some(match self.has_devices() {
             true => evidence(points, |i| self.devices[i]),
             false => evidence(points, |i| points[i].ring),
         })
@@ -111,18 +141,21 @@ impl SweepRows {
     ) -> Result<Sweep, FileError> {
         self.check_points(path)?;
         let has_devices = self.has_devices();
-        let Self { mut sweep, devices, intensities, rings, wrong_devices } = self;
+        let Self { mut sweep, devices, are_sources, intensities, rings, wrong_devices, .. } = self;
         count(&mut sweep.notes, INTENSITIES, intensities);
         count(&mut sweep.notes, RINGS, rings);
         count(&mut sweep.notes, DEVICES, wrong_devices);
         sweep.devices = match (meaning, found) {
             (RingMeaning::Device, _) => true,
+            (RingMeaning::Auto, _) if are_sources => has_devices,
             (RingMeaning::Beam, _) | (RingMeaning::Auto, None) => false,
             // The name of the column says that it numbers LiDARs, unless its values contradict.
             (RingMeaning::Auto, Some(found)) if has_devices => found != Evidence::Beams,
             (RingMeaning::Auto, Some(found)) => found == Evidence::Devices,
         };
-        if meaning == RingMeaning::Auto && found.is_some() {
+        if meaning == RingMeaning::Auto && are_sources {
+            count(&mut sweep.notes, SOURCES, usize::from(has_devices));
+        } else if meaning == RingMeaning::Auto && found.is_some() {
             let note = match (sweep.devices, has_devices) {
                 (true, _) => MERGED,
                 (false, true) => BEAMS,

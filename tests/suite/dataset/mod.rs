@@ -16,3 +16,4 @@ mod oversized;
 mod py123d;
 mod real_log;
 mod sweeps;
+mod table_sets;

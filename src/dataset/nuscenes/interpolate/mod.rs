@@ -17,7 +17,7 @@ use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
 
-use super::choose::version_folder;
+use super::choose::table_folder;
 use super::tables::numbers::{TimeUs, Truth};
 use crate::dataset::{DatasetError, LogLocator};
 use crate::error::FileError;
@@ -121,7 +121,7 @@ pub fn interpolate_tables(
     hz: u8,
     out: &Path,
 ) -> Result<InterpolatedCounts, DatasetError> {
-    let tables = &version_folder(&locator.path, locator.version.as_deref())?;
+    let tables = &table_folder(locator)?;
     let frames = hz / ANNOTATED_HZ;
     if !hz.is_multiple_of(ANNOTATED_HZ) || !(2..=MAX_FRAMES).contains(&frames) {
         let expected = format!("a multiple of {ANNOTATED_HZ} Hz from 4 to {}", ANNOTATED_HZ * MAX_FRAMES);

@@ -56,6 +56,7 @@ records! {
         name: String,
         #[serde(default, deserialize_with = "or_default")]
         description: String,
+        #[serde(default, deserialize_with = "or_default")]
         log_token: String,
         first_sample_token: String,
     }
@@ -66,6 +67,7 @@ records! {
         scene_token: String,
     }
     SampleData in "sample_data" {
+        #[serde(default, deserialize_with = "or_default")]
         sample_token: String,
         ego_pose_token: String,
         calibrated_sensor_token: String,
@@ -77,6 +79,8 @@ records! {
         #[serde(default)]
         width: Whole,
         filename: String,
+        #[serde(default, deserialize_with = "or_default")]
+        info_filename: String,
     }
     EgoPose in "ego_pose" { rotation: [f64; 4], translation: [f64; 3], timestamp: Option<Value> }
     CalibratedSensor in "calibrated_sensor" {

@@ -105,15 +105,6 @@ impl Codec {
         let magics = [(ipc::MARKER, Self::Ipc), (b"LASF", Self::Laz), (draco::MAGIC, Self::Draco)];
         magics.into_iter().find(|(magic, _)| bytes.starts_with(magic)).map(|(_, codec)| codec)
     }
-
-    /// Returns the codec's name in messages.
-    pub(in crate::dataset::py123d) fn name(self) -> &'static str {
-        match self {
-            Self::Ipc => "an Arrow IPC stream",
-            Self::Laz => "a LAZ file",
-            Self::Draco => "a Draco point cloud",
-        }
-    }
 }
 
 /// Decodes the points of a cell.
