@@ -22,8 +22,9 @@ const SRS_ID: i32 = 4326;
 /// Flags of EWKB in the type of a geometry, as PostGIS and GEOS write them: z, m, coordinate system.
 const EWKB_FLAGS: u8 = 0xe0;
 
-/// Decodes a geometry of a GeoPackage in longitude and latitude, and projects its points. `None` if nothing is
-/// left: empty parts are skipped, and those without an area or a length are skipped and passed to `faults`.
+/// Decodes a geometry of a GeoPackage in longitude and latitude, and projects its points. `None` if nothing
+/// is left: empty parts are skipped, and those without an area or a length are skipped and passed to
+/// `faults`.
 ///
 /// # Errors
 /// Returns a description of the content if it is not lines or polygons, bytes are truncated, or coordinates

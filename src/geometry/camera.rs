@@ -209,9 +209,9 @@ impl View {
         (q.z > 1e-5).then(|| (DVec2::new(q.x, q.y) / q.z, q.z))
     }
 
-    /// Projects a world point into recorded images, by the camera's lens. Returns pixel coordinates and camera
-    /// depth in meters. Returns `None` where the lens does not show the point, and for a depth of at most
-    /// 10⁻⁵ m unless the lens is wide.
+    /// Projects a world point into recorded images, by the camera's lens. Returns pixel coordinates and
+    /// camera depth in meters. Returns `None` where the lens does not show the point, and for a depth of at
+    /// most 10⁻⁵ m unless the lens is wide.
     pub fn project_recorded(&self, world: DVec3) -> Option<(DVec2, f64)> {
         let Some(lens) = self.camera.lens else { return self.project(world) };
         let p = self.camera_from_world.transform_point3(world);

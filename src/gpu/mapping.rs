@@ -32,8 +32,8 @@ impl MappedFile {
         mapped.map(|map| Self(Some(map))).map_err(FileError::io("map", path))
     }
 
-    /// Maps a file as [`MappedFile::open`], of which small parts far from each other are read: the operating system
-    /// then reads nothing in advance.
+    /// Maps a file as [`MappedFile::open`], of which small parts far from each other are read: the operating
+    /// system then reads nothing in advance.
     ///
     /// # Errors
     /// Fails as [`MappedFile::open`].

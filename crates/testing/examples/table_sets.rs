@@ -1,4 +1,5 @@
-//! Writes data sets with nuScenes' tables, and what the reader reads of them, for `tests/peers/table_sets.py`.
+//! Writes data sets with nuScenes' tables, and what the reader reads of them, for
+//! `tests/peers/table_sets.py`.
 
 use std::path::Path;
 

@@ -1,5 +1,5 @@
-//! The log of `six_cameras` in the layouts of other data sets with nuScenes' tables: MAN TruckScenes, TIER IV's
-//! T4, and Lyft Level 5.
+//! The log of `six_cameras` in the layouts of other data sets with nuScenes' tables: MAN TruckScenes, TIER
+//! IV's T4, and Lyft Level 5.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -218,8 +218,8 @@ pub fn write_truckscenes(root: &Path) {
     set.write("v1.0-mini");
 }
 
-/// Writes a scene of T4 to a folder: merged LiDARs in the frame of the ego, with a file that says the number of
-/// columns and the time of each LiDAR, and a Lanelet2 map. The name of its scene is that of the folder.
+/// Writes a scene of T4 to a folder: merged LiDARs in the frame of the ego, with a file that says the number
+/// of columns and the time of each LiDAR, and a Lanelet2 map. The name of its scene is that of the folder.
 pub fn write_t4(root: &Path) {
     let mut set = DataSet::new(root);
     set.sensor("LIDAR_CONCAT", "lidar", Pose::IDENTITY);
@@ -274,8 +274,8 @@ pub fn write_t4(root: &Path) {
 }
 
 /// Writes Lyft Level 5 as Kaggle distributes it: tables in `train_data` name files in `images` and `lidar`,
-/// which are in `train_images` and `train_lidar`. Three LiDARs, seven cameras, times as floats, points of boxes
-/// not counted, map as an image.
+/// which are in `train_images` and `train_lidar`. Three LiDARs, seven cameras, times as floats, points of
+/// boxes not counted, map as an image.
 pub fn write_lyft(root: &Path) {
     let mut set = DataSet::new(root);
     for (channel, _, translation, yaw_deg) in LYFT_LIDARS {

@@ -3,9 +3,8 @@
 //! # How it works
 //! `tables` defines the raw records, `version` finds the records of one scene, `read` converts them to a
 //! [`Recording`], and `sweep` reads and writes sweep files. `interpolate` writes tables at a higher rate, and
-//! `subset` tables of some samples. `folders` finds the tables of other data sets in this layout: TIER IV's T4
-//! and Lyft Level 5.
-//! Format: <https://www.nuscenes.org/nuscenes#data-format>.
+//! `subset` tables of some samples. `folders` finds the tables of other data sets in this layout: TIER IV's
+//! T4 and Lyft Level 5. Format: <https://www.nuscenes.org/nuscenes#data-format>.
 
 mod annotations;
 mod chain;
@@ -67,9 +66,9 @@ pub struct NuScenes {
 }
 
 impl NuScenes {
-    /// Reads the tables in `PATH/VERSION`. Defaults to the only folder with tables and to the only scene. `PATH`
-    /// may also be a scene of T4, of which it takes the latest revision by default, or a folder of such scenes.
-    /// Opens no sweeps, images or maps.
+    /// Reads the tables in `PATH/VERSION`. Defaults to the only folder with tables and to the only scene.
+    /// `PATH` may also be a scene of T4, of which it takes the latest revision by default, or a folder of
+    /// such scenes. Opens no sweeps, images or maps.
     ///
     /// # Errors
     /// Fails if tables are missing or damaged, tokens are unresolved, or times do not increase (nor those

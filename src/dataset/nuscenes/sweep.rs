@@ -35,8 +35,8 @@ pub fn read_sweep_file(path: &Path) -> Result<Sweep, FileError> {
 /// Reads the points of a sweep file. `info` is the path of the file that describes it.
 ///
 /// # Errors
-/// Fails as [`read_sweep_file`], except that points may be missing. Fails if the description cannot be read or
-/// contradicts the length of the file.
+/// Fails as [`read_sweep_file`], except that points may be missing. Fails if the description cannot be read
+/// or contradicts the length of the file.
 pub(in crate::dataset) fn read_rows(path: &Path, info: Option<&Path>) -> Result<SweepRows, FileError> {
     let known = info.map_or(Ok(None), SweepInfo::read)?;
     let mut rows = parse_rows(&read_file(path, SWEEP_BYTES)?, known.as_ref(), path)?;

@@ -127,8 +127,8 @@ impl Version {
         Ok(rows.insert(read).clone())
     }
 
-    /// Returns the rows of annotations; `None` without the tables of annotations and instances, as in the test
-    /// set of Lyft Level 5.
+    /// Returns the rows of annotations; `None` without the tables of annotations and instances, as in the
+    /// test set of Lyft Level 5.
     fn annotations(&self) -> Result<Option<RowsByScene>, FileError> {
         let is_there =
             [Annotation::path(&self.folder), Instance::path(&self.folder)].iter().any(|p| is_taken(p));

@@ -165,8 +165,8 @@ fn median(values: impl Iterator<Item = f64>) -> Option<f64> {
     values.get(values.len() / 2).copied()
 }
 
-/// Returns the median of each coordinate, and of each component of the quaternions that are nearest to the first
-/// one, normalized.
+/// Returns the median of each coordinate, and of each component of the quaternions that are nearest to the
+/// first one, normalized.
 fn median_pose(poses: &[Pose], otherwise: Pose) -> Pose {
     let Some(first) = poses.first().map(|pose| pose.rotation) else { return otherwise };
     let of = |value: &dyn Fn(&Pose) -> f64| median(poses.iter().map(value)).unwrap_or_default();

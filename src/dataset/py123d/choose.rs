@@ -27,8 +27,8 @@ struct Candidate {
 /// `#LOCATION`.
 ///
 /// # Errors
-/// Fails if the folder cannot be read or has no logs, or none of the given name, and where locations are compared, if
-/// the table of a log is damaged.
+/// Fails if the folder cannot be read or has no logs, or none of the given name, and where locations are
+/// compared, if the table of a log is damaged.
 pub(super) fn expand(locator: &LogLocator) -> Result<Vec<LogLocator>, DatasetError> {
     let path = &locator.path;
     let mut candidates = candidates(path)?;

@@ -45,12 +45,12 @@ impl Ego {
         Ok(Self { times_us, poses, rows })
     }
 
-    /// Returns the pose in which the sweep of a frame is stored, which was completed at a time; `None` if there is
-    /// none for the frame.
+    /// Returns the pose in which the sweep of a frame is stored, which was completed at a time; `None` if
+    /// there is none for the frame.
     ///
-    /// A table of many more poses than frames is interpolated: py123d names the pose at or after the frame, and
-    /// misses the exact one where times were rounded. In other tables the named pose is that of the sweep,
-    /// whatever its own time is: in PandaSet it is that of the front camera, 50 ms later.
+    /// A table of many more poses than frames is interpolated: py123d names the pose at or after the frame,
+    /// and misses the exact one where times were rounded. In other tables the named pose is that of the
+    /// sweep, whatever its own time is: in PandaSet it is that of the front camera, 50 ms later.
     pub(super) fn of_frame(&self, frame: usize, t_us: i64) -> Option<Pose> {
         let is_dense = self.poses.len() >= 2 * self.rows.len();
         let is_within = self.times_us.first().is_some_and(|first| *first <= t_us)
@@ -61,7 +61,8 @@ impl Ego {
         self.rows[frame].map(|row| self.poses[row])
     }
 
-    /// Returns the pose at any time, interpolated; the first or last one beyond the ends. `None` without poses.
+    /// Returns the pose at any time, interpolated; the first or last one beyond the ends. `None` without
+    /// poses.
     pub(super) fn at(&self, t_us: i64) -> Option<Pose> {
         let next = self.times_us.partition_point(|time| *time < t_us);
         let (Some(after), Some(before)) = (self.poses.get(next), next.checked_sub(1)) else {

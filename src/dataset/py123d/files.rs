@@ -70,7 +70,7 @@ impl PointFiles {
 
 /// Creates the error for a file of another data set's format.
 pub(super) fn unsupported(path: &Path, dataset: &str) -> FileError {
-    let expected = "sweeps of nuScenes, nuPlan, Argoverse 2 or KITTI-360, or stored in the table (convert again with \
-        the option lidar_store_option=binary of py123d)";
+    let expected = "sweeps of nuScenes, nuPlan, Argoverse 2 or KITTI-360, or stored in the table \
+        (convert again with the option lidar_store_option=binary of py123d)";
     FileError::content(expected, format!("a file of {dataset}"), path)
 }

@@ -1,5 +1,5 @@
-//! Labels of boxes. Files hold numbers; the names are in classes of py123d, one per data set. Source: the enums in
-//! `py123d.parser.registry`, version 0.7.0.
+//! Labels of boxes. Files hold numbers; the names are in classes of py123d, one per data set. Source: the
+//! enums in `py123d.parser.registry`, version 0.7.0.
 
 use std::borrow::Cow;
 

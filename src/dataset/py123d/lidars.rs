@@ -22,8 +22,8 @@ pub(super) struct LidarTable {
     pub(super) ids: Vec<u8>,
     /// Times of the ego poses in which sweeps are stored.
     times_us: Vec<i64>,
-    /// Whether sweeps are in the ego frame at their end, as in nuScenes; otherwise at their nominal time, which is
-    /// that of the frame.
+    /// Whether sweeps are in the ego frame at their end, as in nuScenes; otherwise at their nominal time,
+    /// which is that of the frame.
     is_placed_by_end: bool,
     /// Mounting pose of the first LiDAR.
     pub(super) mount: Pose,
@@ -52,8 +52,8 @@ impl LidarTable {
         Ok(Self { cells, ids, times_us, is_placed_by_end, mount, ego_from_lidar })
     }
 
-    /// Returns the time of the pose in which the sweep of each row of `sync` is stored, where it may be another than
-    /// that of the row; else `None`.
+    /// Returns the time of the pose in which the sweep of each row of `sync` is stored, where it may be
+    /// another than that of the row; else `None`.
     ///
     /// # Errors
     /// Fails if `sync` names a row that does not exist.

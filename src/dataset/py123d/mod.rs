@@ -1,11 +1,13 @@
-//! Logs in the layout of py123d (123D): one folder per log with Arrow tables, whatever data set they come from.
+//! Logs in the layout of py123d (123D): one folder per log with Arrow tables, whatever data set they come
+//! from.
 //!
 //! # How it works
-//! `sync.arrow` lists the frames, and for each table the row that belongs to a frame. `read` combines the tables:
-//! `ego`, `boxes`, `lights`, `cameras` and `lidars` read one kind each, `nearest` decides which image belongs to
-//! which frame. Tables are mapped and their images and sweeps read on demand (`cells`), either from the cell
-//! (`codec`) or from a file of the original data set that the cell names (`roots`, `files`). `map` reads HD maps,
-//! `labels` and `rig` hold numbers and names that no file explains. Format: <https://kesai-labs.github.io/py123d>.
+//! `sync.arrow` lists the frames, and for each table the row that belongs to a frame. `read` combines the
+//! tables: `ego`, `boxes`, `lights`, `cameras` and `lidars` read one kind each, `nearest` decides which image
+//! belongs to which frame. Tables are mapped and their images and sweeps read on demand (`cells`), either
+//! from the cell (`codec`) or from a file of the original data set that the cell names (`roots`, `files`).
+//! `map` reads HD maps, `labels` and `rig` hold numbers and names that no file explains. Format:
+//! <https://kesai-labs.github.io/py123d>.
 
 mod boxes;
 mod cameras;
@@ -51,12 +53,12 @@ pub struct Py123d {
 }
 
 impl Py123d {
-    /// Reads the tables of a log. The path is its folder, or one of logs of which `@SPLIT` and `#LOG` select one.
-    /// Opens no images, sweeps or maps.
+    /// Reads the tables of a log. The path is its folder, or one of logs of which `@SPLIT` and `#LOG` select
+    /// one. Opens no images, sweeps or maps.
     ///
     /// # Errors
-    /// Fails if the folder is not a log, or contains several and none is selected. Fails if a table is damaged, or
-    /// poses, cameras or boxes are invalid, or times do not increase.
+    /// Fails if the folder is not a log, or contains several and none is selected. Fails if a table is
+    /// damaged, or poses, cameras or boxes are invalid, or times do not increase.
     pub fn open(locator: &LogLocator) -> Result<Self, DatasetError> {
         check_roots(locator)?;
         let locator = choose::single(locator)?;
@@ -107,7 +109,8 @@ impl Py123d {
         let cells =
             camera.ok_or_else(|| FileError::content("an image of the log", "another", &record.path))?;
         if cells.kind == CellKind::Video {
-            let expected = "JPEG or PNG images (convert again with the option camera_store_option=jpeg_binary of py123d)";
+            let expected = "JPEG or PNG images (convert again with the option \
+                camera_store_option=jpeg_binary of py123d)";
             return Err(FileError::content(expected, "a video (MPEG-4 Part 2)", &record.path));
         }
         Ok(cells)

@@ -1,8 +1,8 @@
 //! Which image belongs to which frame.
 //!
-//! py123d may write each table at its own rate. Then `sync` names the first row in the interval of a frame, and an
-//! image that was taken shortly before its sweep is named by the frame before. So where `sync` leaves rows out, the
-//! row nearest in time is taken.
+//! py123d may write each table at its own rate. Then `sync` names the first row in the interval of a frame,
+//! and an image that was taken shortly before its sweep is named by the frame before. So where `sync` leaves
+//! rows out, the row nearest in time is taken.
 
 /// What the row of a table belongs to.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -18,8 +18,8 @@ pub(super) enum Assignment {
 /// Half the distance of frames where there is only one, microseconds.
 const TOLERANCE_US: u64 = 50_000;
 
-/// Returns the assignment of each row. `times_us` are the rows' times, `named` is the row that `sync` names for each
-/// frame, and `frames_us` are the frames' times, which increase.
+/// Returns the assignment of each row. `times_us` are the rows' times, `named` is the row that `sync` names
+/// for each frame, and `frames_us` are the frames' times, which increase.
 pub(super) fn assign(times_us: &[i64], named: &[Option<usize>], frames_us: &[i64]) -> Vec<Assignment> {
     let mut places: Vec<Vec<usize>> = vec![Vec::new(); times_us.len()];
     named.iter().enumerate().filter_map(|(frame, row)| Some((frame, (*row)?))).for_each(|(frame, row)| {
@@ -39,7 +39,8 @@ pub(super) fn assign(times_us: &[i64], named: &[Option<usize>], frames_us: &[i64
     places.into_iter().enumerate().map(place).collect()
 }
 
-/// Returns for each row the frames to which it is the nearest one, at most half the median distance of frames away.
+/// Returns for each row the frames to which it is the nearest one, at most half the median distance of frames
+/// away.
 fn nearest(times_us: &[i64], frames_us: &[i64]) -> Vec<Vec<usize>> {
     let mut gaps: Vec<u64> = frames_us.windows(2).map(|pair| pair[1].abs_diff(pair[0])).collect();
     gaps.sort_unstable();

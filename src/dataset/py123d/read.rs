@@ -39,8 +39,8 @@ pub(super) struct Tables {
 /// Reads the tables of a log, except for images, sweeps and the map.
 ///
 /// # Errors
-/// Fails if `sync.arrow` is missing, a table is damaged, a pose, a camera or a box is invalid, or a folder of files
-/// that tables name is not known.
+/// Fails if `sync.arrow` is missing, a table is damaged, a pose, a camera or a box is invalid, or a folder of
+/// files that tables name is not known.
 pub(super) fn read(locator: &LogLocator) -> Result<Tables, DatasetError> {
     let folder = locator.path.as_path();
     let sync = Sync::read(folder)?;
@@ -120,7 +120,8 @@ fn frames(
     Ok((rows, frames))
 }
 
-/// Opens the tables of cameras, in the order around the vehicle, and of LiDARs. Counts tables that are not read.
+/// Opens the tables of cameras, in the order around the vehicle, and of LiDARs. Counts tables that are not
+/// read.
 fn sensors(
     locator: &LogLocator,
     sync: &Sync,

@@ -20,8 +20,8 @@ const VARIABLES: [(&str, &[(&str, &str)]); 9] = [
     ("truckdrive", &[("TRUCKDRIVE_DATA_ROOT", "")]),
 ];
 
-/// Returns the folder of the files that a log of a data set refers to: the given one, or that of an environment
-/// variable. `table` is a table with paths, for messages.
+/// Returns the folder of the files that a log of a data set refers to: the given one, or that of an
+/// environment variable. `table` is a table with paths, for messages.
 ///
 /// # Errors
 /// Fails if neither is given.

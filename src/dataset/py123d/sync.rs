@@ -17,8 +17,8 @@ use crate::files::FileName;
 /// Prefix of the table's own columns.
 const OWN: &str = "sync.";
 
-/// Maximum number of frames with the same row of lists, each of which has a copy of the lists. py123d names a row
-/// for one frame.
+/// Maximum number of frames with the same row of lists, each of which has a copy of the lists. py123d names a
+/// row for one frame.
 const MAX_FRAMES_OF_ROW: usize = 64;
 
 /// Frames of a log.
@@ -79,8 +79,8 @@ impl Sync {
         }
     }
 
-    /// Returns the row of a table with `count` rows that belongs to each frame; all `None` if no column refers
-    /// to the table.
+    /// Returns the row of a table with `count` rows that belongs to each frame; all `None` if no column
+    /// refers to the table.
     ///
     /// # Errors
     /// Fails if the table has no such row.

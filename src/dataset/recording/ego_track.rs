@@ -14,7 +14,8 @@ impl EgoTrack {
         Self::of_poses(frames.chain(sweeps).collect())
     }
 
-    /// Collects poses of any order, with absolute microseconds. Of two at the same time, the first one counts.
+    /// Collects poses of any order, with absolute microseconds. Of two at the same time, the first one
+    /// counts.
     pub(in crate::dataset) fn of_poses(mut poses: Vec<(i64, Pose)>) -> Self {
         poses.sort_by_key(|(t_us, _)| *t_us);
         Self(poses)

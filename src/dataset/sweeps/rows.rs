@@ -76,8 +76,8 @@ impl SweepRows {
         self.push(SweepRow { device, ..row });
     }
 
-    /// Sets the mounting pose of the LiDAR, if points are in the ego frame: directions are judged as the LiDAR saw
-    /// them.
+    /// Sets the mounting pose of the LiDAR, if points are in the ego frame: directions are judged as the
+    /// LiDAR saw them.
     #[cfg(feature = "123d")]
     pub(in crate::dataset) fn set_mount(&mut self, ego_from_lidar: &Pose) {
         self.lidar_from_points = Some(ego_from_lidar.inverse());

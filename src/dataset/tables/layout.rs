@@ -1,8 +1,8 @@
 //! Footer of an Arrow IPC file.
 //!
 //! The `arrow-ipc` crate decodes batches, but trusts their declared offsets and sizes: a wrong offset would
-//! panic, and a wrong size would exhaust memory. So every offset and size is validated against the file before a
-//! batch is decoded.
+//! panic, and a wrong size would exhaust memory. So every offset and size is validated against the file
+//! before a batch is decoded.
 
 use std::sync::Arc;
 

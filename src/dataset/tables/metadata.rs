@@ -1,7 +1,7 @@
 //! Metadata of a schema whose values are bytes.
 //!
-//! Flatbuffers demand UTF-8 of texts, but pyarrow writes any bytes as metadata, and the verifier rejects such a
-//! file. So the values are taken out of the footer before it is verified. Layout of tables and vectors:
+//! Flatbuffers demand UTF-8 of texts, but pyarrow writes any bytes as metadata, and the verifier rejects such
+//! a file. So the values are taken out of the footer before it is verified. Layout of tables and vectors:
 //! <https://flatbuffers.dev/internals/>.
 
 /// Slot of the schema in a footer.

@@ -2,9 +2,10 @@
 //!
 //! # How it works
 //! [`ArrowFile`] validates the footer and the declared sizes of all batches of rows (`layout`, `check`), but
-//! decodes none. [`ArrowFile::table`] decodes selected columns of the whole file, [`ArrowFile::batch`] those of
-//! one batch. [`Column`] gives values whatever the width of the numbers. A file is in memory, or its batches are read
-//! one by one, or it is mapped where cells hold images and sweeps. Format: <https://arrow.apache.org/docs/format/Columnar.html#ipc-file-format>.
+//! decodes none. [`ArrowFile::table`] decodes selected columns of the whole file, [`ArrowFile::batch`] those
+//! of one batch. [`Column`] gives values whatever the width of the numbers. A file is in memory, or its
+//! batches are read one by one, or it is mapped where cells hold images and sweeps. Format:
+//! <https://arrow.apache.org/docs/format/Columnar.html#ipc-file-format>.
 
 mod check;
 mod column;

@@ -125,8 +125,8 @@ impl BrownConradyLens {
         )
     }
 
-    /// Inverts [`BrownConradyLens::distort`] to within 10⁻¹² focal lengths. Returns `None` if Newton's method finds no
-    /// point that the lens maps to `seen`.
+    /// Inverts [`BrownConradyLens::distort`] to within 10⁻¹² focal lengths. Returns `None` if Newton's method
+    /// finds no point that the lens maps to `seen`.
     pub fn undistort(&self, seen: DVec2) -> Option<DVec2> {
         const STEPS: u32 = 50;
         const CLOSE: f64 = 1e-12;

@@ -62,8 +62,8 @@ impl FTheta {
     /// See [`Lens::unproject`](super::Lens::unproject). The ray has length 1.
     pub fn unproject(&self, seen: DVec2) -> Option<DVec3> {
         let radius = seen.length();
-        // A positive constant leaves a disk around the axis that no other ray reaches. With a negative one, rays
-        // next to the axis appear on its other side, among those of that side, which are returned.
+        // A positive constant leaves a disk around the axis that no other ray reaches. With a negative one,
+        // rays next to the axis appear on its other side, among those of that side, which are returned.
         let angle = inverse(radius.max(self.polynomial[0]), self.limit, |angle| self.radius(angle))?;
         let direction = if radius > 0.0 { seen / radius } else { DVec2::ZERO };
         Some((direction * angle.sin()).extend(angle.cos()))

@@ -5,8 +5,8 @@
 //! sparse, so a grayscale closing fills the gaps between them: dilation, then erosion, both over
 //! `(2·CLOSE_CELLS + 1)²` cells. The closing fills areas *between* nearer points without growing them beyond
 //! their outline. It preserves planes, since inverse depth is linear on planes. A point is occluded if it is
-//! clearly farther than the closed surface. Depths in the image of a wide lens are distances, whose inverse is
-//! about linear across the few cells of the closing.
+//! clearly farther than the closed surface. Depths in the image of a wide lens are distances, whose inverse
+//! is about linear across the few cells of the closing.
 
 use glam::DVec2;
 

@@ -247,7 +247,8 @@ fn lyft_is_read() {
     assert_eq!(reader.read_map().unwrap().map(|map| map.lanes.len()), None);
 }
 
-/// The test set of Lyft Level 5 has no annotations. The version with folders of its own names needs no prefix.
+/// The test set of Lyft Level 5 has no annotations. The version with folders of its own names needs no
+/// prefix.
 #[test]
 fn lyft_without_annotations_is_read() {
     let folder = tempfile::tempdir().unwrap();

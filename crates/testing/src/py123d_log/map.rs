@@ -1,5 +1,5 @@
-//! The map: two lanes in a row, of which the second crosses an intersection, with their groups; a drivable area, a
-//! crosswalk and a road line.
+//! The map: two lanes in a row, of which the second crosses an intersection, with their groups; a drivable
+//! area, a crosswalk and a road line.
 
 use std::sync::Arc;
 

@@ -1,8 +1,9 @@
 //! A synthetic log in the layout of py123d, written with `arrow-ipc`'s writers.
 //!
-//! Four frames 100 ms apart. The ego drives 1 m per frame in the direction of [`YAW`]. A car keeps its distance
-//! ahead of it; a pedestrian stands still. Two cameras take an image 10 ms after each frame: `pcam_f0` stores PNG
-//! files in its table, `pcam_l0` names files below [`TinyPy123d::sensor_root`]. Sweeps are Arrow IPC streams.
+//! Four frames 100 ms apart. The ego drives 1 m per frame in the direction of [`YAW`]. A car keeps its
+//! distance ahead of it; a pedestrian stands still. Two cameras take an image 10 ms after each frame:
+//! `pcam_f0` stores PNG files in its table, `pcam_l0` names files below [`TinyPy123d::sensor_root`]. Sweeps
+//! are Arrow IPC streams.
 
 mod map;
 mod pack;
@@ -113,7 +114,8 @@ impl TinyPy123d {
         table.write(&path).unwrap();
     }
 
-    /// Opens the log and checks that the error message is one line, has all parts and ends with the file's name.
+    /// Opens the log and checks that the error message is one line, has all parts and ends with the file's
+    /// name.
     #[track_caller]
     pub fn refuses(&self, parts: &[&str], ending: &str) {
         assert_message(&self.open().err().expect("a damaged log"), parts, ending);

@@ -1,5 +1,5 @@
-//! Incomplete and damaged tables: a log that lacks some opens, and a damaged one is refused with a line that names
-//! the file, what was expected and what was found.
+//! Incomplete and damaged tables: a log that lacks some opens, and a damaged one is refused with a line that
+//! names the file, what was expected and what was found.
 
 use std::sync::Arc;
 

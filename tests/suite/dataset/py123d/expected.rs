@@ -73,8 +73,8 @@ fn check(folder: &Path) {
     }
 }
 
-/// The named pose; in tables with many more poses than frames the one at the frame's time, which is the named one
-/// where that has the time of the frame.
+/// The named pose; in tables with many more poses than frames the one at the frame's time, which is the named
+/// one where that has the time of the frame.
 fn check_ego(log: &Recording, expected: &[&Value], name: &str) {
     let mut same = 0;
     for (frame, expected) in log.frames.iter().zip(expected) {

@@ -1,4 +1,5 @@
-//! Logs of py123d: real ones, written by its own parsers, against what its own API reads; synthetic ones with damage.
+//! Logs of py123d: real ones, written by its own parsers, against what its own API reads; synthetic ones with
+//! damage.
 
 mod damage;
 mod damaged_cells;

@@ -92,7 +92,8 @@ fn warn_of_uncovered<'a>(cameras: impl Iterator<Item = &'a Camera>) {
         if share > 0.0 {
             let (name, percent) = (&camera.name, 100.0 * share);
             warn(&format!(
-                "--distort leaves {percent:.1} % of {name} empty: its lens shows more there than a pinhole can"
+                "--distort leaves {percent:.1} % of {name} empty: its lens shows more there than a pinhole \
+                    can"
             ));
         }
     }
