@@ -180,19 +180,20 @@ impl Objects<'_> {
             let of = if group.is_some_and(Option::is_some) { &mut lane_connectors } else { &mut lanes };
             of.extend(self.lane(lane));
         }
-        let mut drivable = vec![DRIVABLE];
-        // nuPlan's generic areas lack roads and intersections. Other maps without such areas have only these.
-        let is_generic = self.layers.get(&DRIVABLE).is_some_and(|layer| !layer.objects.is_empty());
-        if dataset == "nuplan" {
-            drivable = vec![LANE_GROUP, INTERSECTION, DRIVABLE, CAR_PARK];
-        }
+        let has_generic = self.layers.get(&DRIVABLE).is_some_and(|layer| !layer.objects.is_empty());
+        // Generic areas of OpenDRIVE (CARLA) and nuPlan lack roads and intersections.
+        let of_lanes = !has_generic || ["opendrive", "griffin"].contains(&dataset);
+        let drivable: &[i64] = match dataset {
+            "nuplan" => &[LANE_GROUP, INTERSECTION, DRIVABLE, CAR_PARK],
+            _ if of_lanes => &[INTERSECTION, DRIVABLE, CAR_PARK],
+            _ => &[DRIVABLE],
+        };
         let mut drivable_area = Vec::new();
-        if !is_generic {
-            drivable_area =
-                lanes.iter().chain(&lane_connectors).map(|lane: &Lane| lane.outline.clone()).collect();
-            drivable = vec![INTERSECTION, CAR_PARK];
+        if of_lanes {
+            let lanes = lanes.iter().chain(&lane_connectors);
+            drivable_area.extend(lanes.map(|lane: &Lane| lane.outline.clone()));
         }
-        for layer in drivable {
+        for layer in drivable.iter().copied() {
             let outside = |object: &Object| layer != LANE_GROUP || object.features.intersection_id.is_none();
             let objects = self.take(layer).into_iter().filter(outside).collect();
             drivable_area.extend(self.areas(layer, objects));
