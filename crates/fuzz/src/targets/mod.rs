@@ -7,6 +7,7 @@ mod nuplan;
 mod nuscenes;
 mod peers;
 mod pictures;
+mod py123d;
 mod rollout;
 mod rollout_files;
 mod skeleton;
@@ -27,6 +28,7 @@ pub static TARGETS: std::sync::LazyLock<Vec<Target>> = std::sync::LazyLock::new(
     all.extend(nuscenes::TARGETS);
     all.extend(nuplan::TARGETS);
     all.extend(av2::TARGETS);
+    all.extend(py123d::TARGETS);
     all.extend(skeleton::TARGETS);
     all.extend(build::TARGETS);
     all.extend(network::TARGETS);
