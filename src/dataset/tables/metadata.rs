@@ -78,3 +78,35 @@ fn text(bytes: &[u8], at: usize) -> Option<Span> {
     let end = start.checked_add(number(bytes, at)?)?;
     (end <= bytes.len()).then_some(start..end)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Returns a footer whose schema has a number of entries, all of which are the same key `a` and value of 99
+    /// bytes that are not UTF-8.
+    fn footer(entries: u32) -> Vec<u8> {
+        let words = |words: &[u32]| words.iter().flat_map(|word| word.to_le_bytes()).collect::<Vec<u8>>();
+        let shorts = |shorts: &[u16]| shorts.iter().flat_map(|short| short.to_le_bytes()).collect::<Vec<u8>>();
+        // Tables begin with the distance of their vtable before them; other words are distances ahead.
+        let root = [words(&[12]), shorts(&[8, 8, 0, 4]), words(&[8, 16])].concat();
+        let schema = [shorts(&[10, 8, 0, 0, 4, 0]), words(&[12, 4])].concat();
+        let vector = (0..entries).map(|i| 4 * (entries - i) + 8);
+        let vector = words(&[&[entries][..], &vector.collect::<Vec<_>>()].concat());
+        let entry = [shorts(&[8, 12, 4, 8]), words(&[8, 8, 12])].concat();
+        let texts = [&words(&[1])[..], b"a\0\0\0", &words(&[99]), &[0xff; 99], &[0]].concat();
+        [root, schema, vector, entry, texts].concat()
+    }
+
+    #[test]
+    fn values_are_taken_once() {
+        let mut one = footer(1);
+        assert_eq!(take(&mut one), Ok(vec![("a".to_owned(), vec![0xff; 99])]));
+        assert!(one.ends_with(&[[b' '; 99].as_slice(), &[0]].concat()));
+        let found = take(&mut footer(100)).unwrap_err();
+        assert_eq!(found, format!("metadata of 10000 bytes in a footer of {}", footer(100).len()));
+        for length in 0..footer(1).len() {
+            assert_eq!(take(&mut footer(1)[..length].to_vec()), Ok(Vec::new()), "{length}");
+        }
+    }
+}

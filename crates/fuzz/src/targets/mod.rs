@@ -8,6 +8,7 @@ mod nuplan;
 mod nuscenes;
 mod peers;
 mod pictures;
+mod py123d;
 mod rollout;
 mod rollout_files;
 mod skeleton;
@@ -29,6 +30,7 @@ pub static TARGETS: std::sync::LazyLock<Vec<Target>> = std::sync::LazyLock::new(
     all.extend(nuplan::TARGETS);
     all.extend(av2::TARGETS);
     all.extend(cells::TARGETS);
+    all.extend(py123d::TARGETS);
     all.extend(skeleton::TARGETS);
     all.extend(build::TARGETS);
     all.extend(network::TARGETS);
