@@ -2,23 +2,17 @@
 
 use std::path::{Path, PathBuf};
 
-use super::folders;
+use super::folders::{self, MARK, MAX_ENTRIES, folders_in, has_own_tables};
 use super::tables::{LogRecord, Scene, Table};
 use crate::dataset::{DatasetError, LogLocator};
 use crate::error::FileError;
 use crate::files::input::is_taken;
-
-/// Table that identifies a folder of tables.
-pub(super) const MARK: &str = "scene.json";
 
 /// Prefix of nuScenes' own version names.
 const USUAL: &str = "v1.0-";
 
 /// Maximum number of folders that an error lists.
 const MAX_LISTED: usize = 20;
-
-/// Maximum number of entries per folder among which an error looks for them.
-const MAX_ENTRIES: usize = 1000;
 
 /// Returns the folder of the tables: `root/version`, or the only folder in `root` with tables, whatever its
 /// name.
@@ -51,12 +45,6 @@ pub(super) fn has_tables(root: &Path) -> bool {
     has_own_tables(root, MAX_ENTRIES) || folders::has_scenes(root, MAX_ENTRIES)
 }
 
-/// Returns whether a folder contains folders of tables. Looks at up to `most` of its entries.
-pub(super) fn has_own_tables(root: &Path, most: usize) -> bool {
-    let folders = folders_in(root, most).unwrap_or_default();
-    folders.iter().any(|name| is_taken(&root.join(name).join(MARK)))
-}
-
 /// Returns the folder of a locator's tables.
 ///
 /// # Errors
@@ -64,19 +52,6 @@ pub(super) fn has_own_tables(root: &Path, most: usize) -> bool {
 pub(super) fn table_folder(locator: &LogLocator) -> Result<PathBuf, DatasetError> {
     let locator = folders::resolve(locator)?;
     version_folder(&locator.path, locator.version.as_deref())
-}
-
-/// Returns the names of the folders in a folder, sorted. Looks at up to `most` of its entries.
-pub(super) fn folders_in(root: &Path, most: usize) -> Result<Vec<String>, FileError> {
-    let mut names = Vec::new();
-    for entry in std::fs::read_dir(root).map_err(FileError::io("read", root))?.take(most) {
-        let entry = entry.map_err(FileError::io("read", root))?;
-        if entry.path().is_dir() {
-            names.push(entry.file_name().to_string_lossy().into_owned());
-        }
-    }
-    names.sort();
-    Ok(names)
 }
 
 /// Describes tables above or below a folder that has none, for a path that is one folder off.
@@ -177,19 +152,4 @@ pub fn expand(locator: &LogLocator) -> Result<Vec<LogLocator>, DatasetError> {
     }
     names.sort();
     Ok(names.into_iter().map(|name| LogLocator { scene: Some(name), ..locator.clone() }).collect())
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn large_folders_are_searched_up_to_a_limit() {
-        let folder = tempfile::tempdir().unwrap();
-        for name in ["a", "b", "c"] {
-            std::fs::create_dir(folder.path().join(name)).unwrap();
-        }
-        assert_eq!(folders_in(folder.path(), usize::MAX).unwrap(), ["a", "b", "c"]);
-        assert_eq!(folders_in(folder.path(), 2).unwrap().len(), 2);
-    }
 }

@@ -12,12 +12,17 @@
 use std::borrow::Cow;
 use std::path::{Path, PathBuf};
 
-use super::choose::{MARK, folders_in, has_own_tables};
 use super::tables::{LogRecord, Scene, Table};
 use crate::dataset::{DatasetError, LogLocator};
 use crate::error::FileError;
 use crate::files::NameError;
 use crate::files::input::{DataRoot, is_taken};
+
+/// Table that identifies a folder of tables.
+pub(super) const MARK: &str = "scene.json";
+
+/// Maximum number of entries per folder among which an error looks for them.
+pub(super) const MAX_ENTRIES: usize = 1000;
 
 /// Folder of the tables of a T4 scene.
 const T4_TABLES: &str = "annotation";
@@ -53,6 +58,25 @@ pub(super) fn resolve(locator: &LogLocator) -> Result<Cow<'_, LogLocator>, Datas
             resolve(&inner).map(|inner| Cow::Owned(inner.into_owned()))
         }
     }
+}
+
+/// Returns whether a folder contains folders of tables. Looks at up to `most` of its entries.
+pub(super) fn has_own_tables(root: &Path, most: usize) -> bool {
+    let folders = folders_in(root, most).unwrap_or_default();
+    folders.iter().any(|name| is_taken(&root.join(name).join(MARK)))
+}
+
+/// Returns the names of the folders in a folder, sorted. Looks at up to `most` of its entries.
+pub(super) fn folders_in(root: &Path, most: usize) -> Result<Vec<String>, FileError> {
+    let mut names = Vec::new();
+    for entry in std::fs::read_dir(root).map_err(FileError::io("read", root))?.take(most) {
+        let entry = entry.map_err(FileError::io("read", root))?;
+        if entry.path().is_dir() {
+            names.push(entry.file_name().to_string_lossy().into_owned());
+        }
+    }
+    names.sort();
+    Ok(names)
 }
 
 /// Returns whether a folder has revisions or scenes of T4. Looks at up to `most` of its entries.
@@ -213,5 +237,20 @@ impl SensorFiles {
             Some(prefixed) => self.root.resolve(&prefixed),
             None => self.root.resolve(name),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn large_folders_are_searched_up_to_a_limit() {
+        let folder = tempfile::tempdir().unwrap();
+        for name in ["a", "b", "c"] {
+            std::fs::create_dir(folder.path().join(name)).unwrap();
+        }
+        assert_eq!(folders_in(folder.path(), usize::MAX).unwrap(), ["a", "b", "c"]);
+        assert_eq!(folders_in(folder.path(), 2).unwrap().len(), 2);
     }
 }
