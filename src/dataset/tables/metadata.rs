@@ -83,11 +83,12 @@ fn text(bytes: &[u8], at: usize) -> Option<Span> {
 mod tests {
     use super::*;
 
-    /// Returns a footer whose schema has a number of entries, all of which are the same key `a` and value of 99
-    /// bytes that are not UTF-8.
+    /// Returns a footer whose schema has a number of entries, all of which are the same key `a` and value of
+    /// 99 bytes that are not UTF-8.
     fn footer(entries: u32) -> Vec<u8> {
         let words = |words: &[u32]| words.iter().flat_map(|word| word.to_le_bytes()).collect::<Vec<u8>>();
-        let shorts = |shorts: &[u16]| shorts.iter().flat_map(|short| short.to_le_bytes()).collect::<Vec<u8>>();
+        let shorts =
+            |shorts: &[u16]| shorts.iter().flat_map(|short| short.to_le_bytes()).collect::<Vec<u8>>();
         // Tables begin with the distance of their vtable before them; other words are distances ahead.
         let root = [words(&[12]), shorts(&[8, 8, 0, 4]), words(&[8, 16])].concat();
         let schema = [shorts(&[10, 8, 0, 0, 4, 0]), words(&[12, 4])].concat();

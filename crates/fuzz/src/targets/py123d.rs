@@ -117,7 +117,8 @@ fn column_seeds() -> Vec<Seed> {
     all.collect()
 }
 
-/// Changes the type, the values or the name of a column, sets a null, removes the column, or changes the metadata.
+/// Changes the type, the values or the name of a column, sets a null, removes the column, or changes the
+/// metadata.
 fn change(table: &mut Table, choices: &mut Choices<'_>) {
     if table.columns.is_empty() {
         return;
