@@ -5,6 +5,8 @@
 //! warped to a fisheye (MEI) and an f-theta lens of about the same field of view. Compares color maps of the
 //! frames between with the log's own images, as `pskel fidelity --hold-out 2`.
 
+#![allow(clippy::print_stdout, reason = "a program")]
+
 use std::path::Path;
 use std::sync::Arc;
 

@@ -74,7 +74,6 @@ fn frame(index: usize, has_cone: bool) -> Frame {
         sweeps: vec![SweepRecord {
             path: NOWHERE.into(),
             row: None,
-            row: None,
             t_us,
             global_from_ego,
             ego_from_lidar,

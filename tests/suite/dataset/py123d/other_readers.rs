@@ -19,8 +19,11 @@ fn apart(a: &Pose, b: &Pose) -> f64 {
     (a.translation - b.translation).length().max((a.rotation - turned).length())
 }
 
-/// Boxes by frame and track, with the category.
-fn boxes(log: &Recording) -> Vec<BTreeMap<&str, (&str, [f64; 3], [f64; 3], f64)>> {
+/// Category, center, size and yaw of a box.
+type BoxValues<'a> = (&'a str, [f64; 3], [f64; 3], f64);
+
+/// Boxes by frame and track.
+fn boxes(log: &Recording) -> Vec<BTreeMap<&str, BoxValues<'_>>> {
     let of = |item: &point_skeleton::dataset::TrackBox| {
         let (track, cuboid) = (&log.tracks[item.track], &item.cuboid);
         let [center, size] = [cuboid.pose.translation, cuboid.size].map(|v| v.to_array());

@@ -51,14 +51,14 @@ fn logs_are_selected() {
             assert_eq!(found(below, Some("made_val"), all), [val.clone(), other.clone()]);
         }
         assert_eq!(found(below, None, Some(LOG)), [train.clone(), val.clone()]);
-        assert_eq!(found(below, Some(SPLIT), Some(LOG)), [train.clone()]);
-        assert_eq!(found(below, None, Some("other")), [other.clone()]);
+        assert_eq!(found(below, Some(SPLIT), Some(LOG)), std::slice::from_ref(&train));
+        assert_eq!(found(below, None, Some("other")), std::slice::from_ref(&other));
         assert_eq!(found(below, None, Some("nowhere")), [train.clone(), val.clone()]);
-        assert_eq!(found(below, Some("made_val"), Some("nowhere")), [val.clone()]);
-        assert_eq!(found(below, None, Some("elsewhere")), [other.clone()]);
+        assert_eq!(found(below, Some("made_val"), Some("nowhere")), std::slice::from_ref(&val));
+        assert_eq!(found(below, None, Some("elsewhere")), std::slice::from_ref(&other));
     }
     assert_eq!(found("logs/made_val", None, None), [val.clone(), other]);
-    assert_eq!(found(&format!("logs/{val}"), None, None), [val.clone()]);
+    assert_eq!(found(&format!("logs/{val}"), None, None), std::slice::from_ref(&val));
     assert_eq!(found(&format!("logs/{val}"), Some("made_val"), Some(LOG)), [val]);
 }
 
