@@ -1,7 +1,7 @@
 //! Validation of the declared sizes of a batch of rows.
 
 use arrow_buffer::Buffer;
-use arrow_ipc::{Block, RecordBatch, root_as_message};
+use arrow_ipc::{Block, CompressionType, RecordBatch, root_as_message};
 use arrow_schema::{DataType, Field, Schema};
 
 /// Bytes before a message: a marker and the message length.
@@ -54,13 +54,17 @@ pub(super) fn check_block(block: &Block, schema: &Schema, bytes: &[u8]) -> Resul
 ///
 /// # Errors
 /// Returns a description of the invalid content.
-pub(super) fn check_batch(
+pub(in crate::dataset) fn check_batch(
     batch: &RecordBatch<'_>,
     schema: &Schema,
     body: &[u8],
 ) -> Result<(u64, u64), String> {
     let rows = u64::try_from(batch.length()).map_err(|_| format!("a batch of {} rows", batch.length()))?;
-    let is_compressed = batch.compression().is_some();
+    let is_compressed = match batch.compression().map(|compression| compression.codec()) {
+        None => false,
+        Some(CompressionType::LZ4_FRAME | CompressionType::ZSTD) => true,
+        Some(other) => return Err(format!("compression {}", other.0)),
+    };
     let mut sizes = Vec::new();
     for buffer in batch.buffers().into_iter().flatten() {
         sizes.push(check_buffer(buffer, body, is_compressed)?);

@@ -13,6 +13,8 @@ mod layout;
 mod lists;
 mod metadata;
 
+#[cfg(feature = "123d")]
+pub(super) use check::check_batch;
 pub(super) use column::Column;
 
 use std::fs::File;

@@ -14,11 +14,11 @@ use arrow_buffer::Buffer;
 use arrow_ipc::convert::try_fb_to_schema;
 use arrow_ipc::reader::RecordBatchDecoder;
 use arrow_ipc::{MessageHeader, MetadataVersion, root_as_message};
-use arrow_schema::{DataType, SchemaRef};
+use arrow_schema::{DataType, Schema, SchemaRef};
 
 use super::feature::{Column, Kind};
-use super::message::{check_batch, check_compression};
 use super::{FEATURES, Points, is_read, most_decoded};
+use crate::dataset::tables::check_batch;
 
 /// First bytes of a message, and thus of a stream.
 pub(super) const MARKER: &[u8] = &[0xff; 4];
@@ -79,7 +79,7 @@ impl<'a> Stream<'a> {
         let mut left = most;
         while let Some((message, behind)) = cut(rest)? {
             rest = behind;
-            let Some((batch, size)) = message.batch()? else { continue };
+            let Some((batch, size)) = message.batch(&schema)? else { continue };
             left = left.checked_sub(size).ok_or_else(|| {
                 format!("columns that declare more than {most} bytes in {} bytes", bytes.len())
             })?;
@@ -117,14 +117,13 @@ struct Message<'a> {
 
 impl<'a> Message<'a> {
     /// Returns a batch and its decompressed bytes; `None` for dictionaries, which no column that is read has.
-    fn batch(self) -> Result<Option<(Batch<'a>, u64)>, String> {
+    fn batch(self, schema: &Schema) -> Result<Option<(Batch<'a>, u64)>, String> {
         let message = root_as_message(&self.header).map_err(|e| format!("a damaged message ({e})"))?;
         if message.header_type() == MessageHeader::DictionaryBatch {
             return Ok(None);
         }
         let batch = message.header_as_record_batch().ok_or("a message that is no batch of rows")?;
-        check_compression(&batch)?;
-        let (rows, size) = check_batch(&batch, self.body)?;
+        let (rows, size) = check_batch(&batch, schema, self.body)?;
         Ok(Some((Batch { header: self.header.clone(), body: self.body, rows }, size)))
     }
 }

@@ -13,7 +13,6 @@ mod draco;
 mod feature;
 mod ipc;
 mod laz;
-mod message;
 #[cfg(test)]
 mod tests;
 

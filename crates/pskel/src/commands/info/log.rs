@@ -33,7 +33,8 @@ pub(super) fn text(json: &Value) -> String {
     let parts = [plain("name"), &location, plain("description")];
     line("log", parts.into_iter().filter(|part| !part.is_empty()).collect::<Vec<_>>().join(" "));
     let (seconds, rate) = (number(&json["seconds"]), number(&json["frame_rate_hz"]));
-    line("frames", format!("{} over {seconds} s at {rate} Hz", json["frames"]));
+    let frames = format!("{} over {seconds} s at {rate} Hz", json["frames"]);
+    line("frames", if json["frames"] == 0 { "none".to_owned() } else { frames });
     let points =
         json["points"].as_u64().map_or("generated when read".to_owned(), |n| format!("with {n} points"));
     line("sweeps", format!("{} {points}", json["sweeps"]));
@@ -46,6 +47,9 @@ pub(super) fn text(json: &Value) -> String {
             format!("{name:<18} {size} focal {focal} px, {images} images ({between} between frames)"),
         );
     }
+    if json["cameras"].as_array().is_none_or(Vec::is_empty) {
+        line("camera", "none".to_owned());
+    }
     let empty =
         json["boxes_without_points"].as_u64().map_or(String::new(), |n| format!(", {n} without points"));
     line("boxes", format!("{} of {} tracks{empty}", json["boxes"], json["tracks"]));
@@ -53,10 +57,9 @@ pub(super) fn text(json: &Value) -> String {
         line("", format!("{name:<34} {} boxes of {} tracks", tally["boxes"], tally["tracks"]));
     }
     let ego = &json["ego"];
-    line(
-        "ego",
-        format!("{} m, within {} and {}", number(&ego["path_m"]), corner(&ego["min"]), corner(&ego["max"])),
-    );
+    let path =
+        format!("{} m, within {} and {}", number(&ego["path_m"]), corner(&ego["min"]), corner(&ego["max"]));
+    line("ego", if json["frames"] == 0 { "no poses".to_owned() } else { path });
     line("map", map_line(&json["map"]));
     for (kind, frames) in json["scenarios"].as_object().into_iter().flatten() {
         line("scenario", format!("{kind:<34} {frames} frames"));
