@@ -119,6 +119,9 @@ impl Columns<'_> {
         match (kind, kind.primitive_width()) {
             (_, Some(width)) => self.least(name, items, items.saturating_mul(width as u64)),
             (DataType::Boolean, _) => self.least(name, items, items.div_ceil(8)),
+            (DataType::Dictionary(key, _), _) => {
+                self.least(name, items, items.saturating_mul(key.primitive_width().unwrap_or(1) as u64))
+            }
             (DataType::FixedSizeBinary(width), _) => {
                 self.least(name, items, items.saturating_mul((*width).max(0).cast_unsigned().into()))
             }

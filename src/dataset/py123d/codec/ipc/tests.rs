@@ -134,7 +134,8 @@ fn damaged_streams_are_errors_or_points() {
 fn more_bytes_than_a_cell_can_hold_are_refused() {
     let zeros = vec![0.0; 4 << 20];
     let cell = stream(&[axes(&zeros)], Some(CompressionType::ZSTD));
-    let found = format!("columns that declare more than {} bytes in {} bytes", 16 << 20, cell.len());
-    assert_eq!(decode(&cell), Err(found.clone()));
-    assert_eq!(declared_points(&cell), Err(found));
+    let expected = format!("columns that declare more than {} bytes in ", 16 << 20);
+    for found in [decode(&cell).unwrap_err(), declared_points(&cell).unwrap_err()] {
+        assert!(found.starts_with(&expected), "{found}");
+    }
 }
