@@ -5,13 +5,11 @@ use super::ego::Ego;
 use super::lens;
 use super::metadata::{self, CameraMetadata};
 use super::nearest::{Assignment, assign};
-use super::read::Target;
 use super::sync::check_times;
+use super::target::{Target, resolve};
 use crate::dataset::recording::notes::{NO_IMAGE, Notes, note};
 use crate::dataset::tables::ArrowFile;
 use crate::dataset::{DatasetError, Gap, ImageRecord, ReadOptions, RigCamera};
-use crate::error::FileError;
-use crate::files::input::DataRoot;
 use crate::geometry::{Camera, Pose};
 
 /// Table of a camera's images.
@@ -144,19 +142,6 @@ impl CameraTable {
     pub(super) fn rig(&self, channel: usize) -> RigCamera {
         RigCamera { channel, ego_from_camera: self.ego_from_camera, camera: self.camera.clone() }
     }
-}
-
-/// Resolves the path in a row of a table.
-pub(super) fn resolve(
-    root: &DataRoot,
-    name: &str,
-    row: usize,
-    table: &std::path::Path,
-) -> Result<std::path::PathBuf, FileError> {
-    let wrong = |error: crate::files::NameError| {
-        FileError::content(error.expected, format!("{} in row {row}", error.found), table)
-    };
-    root.resolve(name).map_err(wrong)
 }
 
 fn median(values: impl Iterator<Item = f64>) -> Option<f64> {

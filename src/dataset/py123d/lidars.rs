@@ -2,12 +2,11 @@
 
 use std::cmp::Reverse;
 
-use super::cameras::resolve;
 use super::cells::{CellKind, CellTable};
 use super::files::PointFiles;
 use super::metadata::{self, SweepMetadata};
-use super::read::Target;
 use super::sync::{Sync, check_times};
+use super::target::{Target, resolve};
 use crate::dataset::recording::notes::{NO_SWEEP, Notes, note};
 use crate::dataset::tables::ArrowFile;
 use crate::dataset::{DatasetError, Gap, SweepRecord};

@@ -27,6 +27,7 @@ mod read;
 mod rig;
 mod roots;
 mod sync;
+mod target;
 
 pub use codec::count_points;
 

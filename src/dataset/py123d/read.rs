@@ -9,6 +9,7 @@ use super::ego::Ego;
 use super::files::PointFiles;
 use super::lidars::LidarTable;
 use super::sync::Sync;
+use super::target::Target;
 use super::{boxes, ego, lights, rig, roots};
 use crate::dataset::clock::{Unit, note_interval};
 use crate::dataset::limits::MAX_CAMERAS;
@@ -16,7 +17,7 @@ use crate::dataset::recording::notes::{Notes, note, settle};
 use crate::dataset::tables::ArrowFile;
 use crate::dataset::{BoxPoints, DatasetError, Frame, Gap, LogLocator, Recording};
 use crate::error::FileError;
-use crate::files::input::{DataRoot, is_there};
+use crate::files::input::is_there;
 use crate::files::text::printable_path;
 
 /// Kind of a gap: a frame that cannot be placed.
@@ -82,17 +83,6 @@ pub(super) fn read(locator: &LogLocator) -> Result<Tables, DatasetError> {
     };
     settle(&mut log, notes)?;
     Ok(Tables { log, sync, cameras, lidars, box_points: found.points })
-}
-
-/// Frames to which tables add their data.
-pub(super) struct Target<'a> {
-    pub(super) sync: &'a Sync,
-    /// Row of `sync` of each frame.
-    pub(super) rows: &'a [usize],
-    pub(super) ego: &'a Ego,
-    /// Folder of the files that tables name.
-    pub(super) root: Option<&'a DataRoot>,
-    pub(super) frames: &'a mut [Frame],
 }
 
 /// Returns the rows of `sync` with an ego pose, and their frames.

@@ -226,7 +226,8 @@ fn unknown_labels_and_states_are_counted() {
     assert_eq!(noted(&made, note), (Some(FRAMES), "movable_object movable_object".to_owned()));
     let mut made = TinyPy123d::new();
     made.edit(BOXES, |t| t.set("label", integer_lists::<UInt16Type>(vec![vec![23, 0]; FRAMES])));
-    let note = "boxes of the unknown category 23 of py123d.parser.registry.NuScenesBoxDetectionLabel (read as objects)";
+    let note = "boxes of the unknown category 23 of py123d.parser.registry.NuScenesBoxDetectionLabel \
+        (read as objects)";
     assert_eq!(noted(&made, note), (Some(FRAMES), "vehicle.car movable_object".to_owned()));
     let mut made = TinyPy123d::new();
     made.edit(LIGHTS, |t| t.set("status", integer_lists::<UInt8Type>(vec![vec![5]; FRAMES])));
