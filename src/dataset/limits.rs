@@ -1,6 +1,8 @@
 //! Checks that the readers of data sets have in common.
 
-use super::LogLocator;
+use super::{DatasetError, LogLocator};
+use std::path::Path;
+
 use crate::error::FileError;
 
 /// Maximum distance of a time from 1970, microseconds: a thousand years. Later times are rejected as damaged,
@@ -22,4 +24,23 @@ pub(super) fn check_roots(locator: &LogLocator) -> Result<(), FileError> {
         }
     }
     Ok(())
+}
+
+/// Returns the only one of the logs that a locator refers to; `name` names a log by its path in messages.
+///
+/// # Errors
+/// Fails if there are several logs.
+#[cfg(feature = "av2")]
+pub(super) fn only_log(
+    mut logs: Vec<LogLocator>,
+    locator: &LogLocator,
+    name: impl Fn(&Path) -> String,
+) -> Result<LogLocator, DatasetError> {
+    match (logs.pop(), logs.is_empty()) {
+        (Some(log), true) => Ok(log),
+        (last, _) => {
+            let scenes = logs.iter().chain(&last).map(|log| name(&log.path)).collect();
+            Err(DatasetError::Scene { found: locator.scene.clone(), scenes, path: locator.path.clone() })
+        }
+    }
 }

@@ -68,8 +68,8 @@ pub enum CameraError {
     MirrorParameter(f64),
     /// The forward polynomial of an f-theta lens does not grow from about 0 at the axis.
     #[error(
-        "expected an f-theta polynomial that begins with up to {max} pixels and grows, found the coefficients \
-            {constant_px:?} and {focal_px:?}"
+        "expected an f-theta polynomial that begins with up to {max} pixels and grows, found the \
+            coefficients {constant_px:?} and {focal_px:?}"
     )]
     FTheta {
         /// Pixels.

@@ -2,6 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
+use crate::dataset::limits::only_log;
 use crate::dataset::{DatasetError, LogLocator};
 use crate::error::FileError;
 use crate::files::input::is_taken;
@@ -43,14 +44,7 @@ pub(super) fn expand(locator: &LogLocator) -> Result<Vec<LogLocator>, DatasetErr
 /// # Errors
 /// Fails as [`expand`], or if there are several logs.
 pub(super) fn choose(locator: &LogLocator) -> Result<LogLocator, DatasetError> {
-    let mut logs = expand(locator)?;
-    match (logs.pop(), logs.is_empty()) {
-        (Some(log), true) => Ok(log),
-        (last, _) => {
-            let scenes = logs.iter().chain(&last).map(|log| log_name(&log.path)).collect();
-            Err(DatasetError::Scene { found: locator.scene.clone(), scenes, path: locator.path.clone() })
-        }
-    }
+    only_log(expand(locator)?, locator, log_name)
 }
 
 /// Returns the folder's name, which is the log's id.

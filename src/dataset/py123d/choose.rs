@@ -3,6 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use super::metadata::{self, LogMetadata};
+use crate::dataset::limits::only_log;
 use crate::dataset::tables::ArrowFile;
 use crate::dataset::{DatasetError, LogLocator};
 use crate::error::FileError;
@@ -67,14 +68,7 @@ pub(super) fn expand(locator: &LogLocator) -> Result<Vec<LogLocator>, DatasetErr
 /// # Errors
 /// Fails as [`expand`], or if there are several logs.
 pub(super) fn single(locator: &LogLocator) -> Result<LogLocator, DatasetError> {
-    let mut logs = expand(locator)?;
-    match (logs.pop(), logs.is_empty()) {
-        (Some(log), true) => Ok(log),
-        (last, _) => {
-            let scenes = logs.iter().chain(&last).map(|log| shown(&log.path)).collect();
-            Err(DatasetError::Scene { found: locator.scene.clone(), scenes, path: locator.path.clone() })
-        }
-    }
+    only_log(expand(locator)?, locator, shown)
 }
 
 /// Returns whether a folder is a log or contains one.

@@ -210,3 +210,17 @@ fn sweeps_of_laz_files_in_chunks_equal_those_of_py123d() {
 fn sweeps_of_draco_clouds_equal_those_of_py123d() {
     holds("pandaset-png-draco", 2);
 }
+
+/// Cuts a cell at every byte, and changes every byte: the rest is an error, or has as many points as it
+/// declares.
+pub(super) fn assert_damage_is_survived(cell: &[u8]) {
+    for at in 0..cell.len() {
+        let mut changed = cell.to_vec();
+        changed[at] ^= 0x81;
+        for cell in [&cell[..at], &changed] {
+            if let Ok(points) = decode(cell) {
+                assert_eq!(declared_points(cell), Ok(points.xyz.len() as u64));
+            }
+        }
+    }
+}
