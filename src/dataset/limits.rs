@@ -1,8 +1,8 @@
 //! Checks that the readers of data sets have in common.
 
-use super::{DatasetError, LogLocator};
 use std::path::Path;
 
+use super::{DatasetError, LogLocator};
 use crate::error::FileError;
 
 /// Maximum distance of a time from 1970, microseconds: a thousand years. Later times are rejected as damaged,

@@ -20,10 +20,14 @@ use crate::files::input::is_there;
 use crate::geometry::{Cuboid, Pose};
 
 pub(super) const KEY: &str = "box_detections_se3";
+const TIME: &str = "box_detections_se3.timestamp_us";
 const SE3: &str = "box_detections_se3.bounding_box_se3";
 const TOKEN: &str = "box_detections_se3.track_token";
 const LABEL: &str = "box_detections_se3.label";
 const POINTS: &str = "box_detections_se3.num_lidar_points";
+
+/// Maximum time between a frame and its boxes that is not worth a note, microseconds.
+const SAME_TIME_US: u64 = 1000;
 
 /// Rows that are converted at a time, which bounds the memory of their lists.
 const PART_ROWS: usize = 64;
@@ -64,8 +68,8 @@ pub(super) fn read(
     for (frame, row) in frames.iter().enumerate().filter_map(|(frame, i)| Some((frame, rows[*i]?))) {
         frame_of.entry(row).or_default().push(frame);
     }
-    let unused = (0..file.rows() as usize).filter(|row| !frame_of.contains_key(row)).count();
-    note(notes, "rows of boxes that belong to no frame", unused);
+    // Not counted one by one: a damaged file may declare any number of rows.
+    note(notes, "rows of boxes that belong to no frame", file.rows() as usize - frame_of.len());
     let mut reader = Reader {
         labels: Labels::of_class(&about.box_detection_label_class),
         class: about.box_detection_label_class,
@@ -79,8 +83,9 @@ pub(super) fn read(
     };
     let mut first = 0;
     for batch in 0..file.batches() {
-        for part in file.batch(batch, &[SE3, TOKEN, LABEL], &[POINTS])?.parts(PART_ROWS) {
+        for part in file.batch(batch, &[SE3, TOKEN, LABEL], &[POINTS, TIME])?.parts(PART_ROWS) {
             reader.part(&part, first, &frame_of)?;
+            reader.note_times(&part, first, &frame_of, |frame| sync.times_us[frames[frame]])?;
             first += part.rows();
         }
     }
@@ -136,6 +141,26 @@ impl Reader<'_> {
             for frame in frames {
                 (self.frames[*frame], self.points[*frame]) = (read.clone(), read_points.clone());
             }
+        }
+        Ok(())
+    }
+
+    /// Counts frames whose boxes have another time, which are taken as they are: `sync` names the next row of a
+    /// table that has none at the time of the frame.
+    fn note_times(
+        &mut self,
+        table: &Table,
+        first: usize,
+        frame_of: &FxHashMap<usize, Vec<usize>>,
+        time_us: impl Fn(usize) -> i64,
+    ) -> Result<(), FileError> {
+        if !table.has(TIME) {
+            return Ok(());
+        }
+        for (i, t_us) in table.column(TIME)?.integers_or_none()?.into_iter().enumerate() {
+            let frames = frame_of.get(&(first + i)).into_iter().flatten();
+            let is_late = |frame: &&usize| t_us.is_some_and(|t| t.abs_diff(time_us(**frame)) > SAME_TIME_US);
+            note(self.notes, "frames whose boxes have another time", frames.filter(is_late).count());
         }
         Ok(())
     }

@@ -128,17 +128,11 @@ fn lists<T>(part: &ArrayRef, convert: impl Fn(&ArrayRef) -> Option<Vec<T>>) -> O
     let (offsets, values) = match part.data_type() {
         DataType::List(_) => {
             let all = part.as_list_opt::<i32>()?;
-            (
-                all.value_offsets().iter().map(|at| usize::try_from(*at).ok()).collect::<Option<Vec<_>>>()?,
-                all.values(),
-            )
+            (positions(all.value_offsets())?, all.values())
         }
         DataType::LargeList(_) => {
             let all = part.as_list_opt::<i64>()?;
-            (
-                all.value_offsets().iter().map(|at| usize::try_from(*at).ok()).collect::<Option<Vec<_>>>()?,
-                all.values(),
-            )
+            (positions(all.value_offsets())?, all.values())
         }
         _ => return None,
     };
@@ -150,4 +144,8 @@ fn lists<T>(part: &ArrayRef, convert: impl Fn(&ArrayRef) -> Option<Vec<T>>) -> O
         if part.is_null(row) { Vec::new() } else { list }
     };
     Some(offsets.windows(2).enumerate().map(list).collect())
+}
+
+fn positions<O: Copy + TryInto<usize>>(offsets: &[O]) -> Option<Vec<usize>> {
+    offsets.iter().map(|offset| (*offset).try_into().ok()).collect()
 }

@@ -62,8 +62,8 @@ impl Table {
     /// Fails if columns have different lengths or equal names.
     pub fn write(&self, path: &Path) -> Result<(), Box<dyn std::error::Error>> {
         let batch = RecordBatch::try_from_iter(self.columns.clone())?;
-        let placeholder = self.metadata.as_ref().map(|bytes| "\u{7f}".repeat(bytes.len()));
-        let entries = placeholder.iter().map(|text| ("metadata".to_owned(), text.clone()));
+        let blank = self.metadata.as_ref().map(|bytes| "\u{7f}".repeat(bytes.len()));
+        let entries = blank.iter().map(|text| ("metadata".to_owned(), text.clone()));
         let schema = batch.schema().as_ref().clone().with_metadata(entries.collect::<HashMap<_, _>>());
         let options = IpcWriteOptions::default().try_with_compression(self.compression)?;
         let mut writer = FileWriter::try_new_with_options(Vec::new(), &schema, options)?;
@@ -73,18 +73,18 @@ impl Table {
         }
         writer.finish()?;
         let mut file = writer.into_inner()?;
-        if let (Some(placeholder), Some(metadata)) = (placeholder, &self.metadata) {
-            replace(&mut file, placeholder.as_bytes(), metadata);
+        if let (Some(blank), Some(metadata)) = (blank, &self.metadata) {
+            replace(&mut file, blank.as_bytes(), metadata);
         }
         Ok(std::fs::write(path, file)?)
     }
 }
 
 /// Replaces the text in the schema and in the footer of a file: Arrow's writer takes only UTF-8.
-fn replace(file: &mut [u8], placeholder: &[u8], metadata: &[u8]) {
+fn replace(file: &mut [u8], blank: &[u8], metadata: &[u8]) {
     // Texts follow their length.
     let stored = |text: &[u8]| [&(text.len() as u32).to_le_bytes(), text].concat();
-    let (old, new) = (stored(placeholder), stored(metadata));
+    let (old, new) = (stored(blank), stored(metadata));
     let places: Vec<usize> =
         (0..=file.len() - old.len()).filter(|at| file[*at..].starts_with(&old)).collect();
     assert_eq!(places.len(), 2, "places of the metadata");
