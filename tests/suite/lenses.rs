@@ -210,7 +210,7 @@ impl Room {
             t_us: 0,
             global_from_ego: pose,
             ego_from_camera: pose,
-            camera: camera.clone(),
+            camera: camera.clone().into(),
         };
         let sweep = SweepRecord {
             path: "sweep".into(),
@@ -296,7 +296,7 @@ fn points_are_colored_through_lenses() {
     assert!(plain > 20.0 && by_mei > plain - 0.3 && by_f_theta > plain - 0.3);
     // Read as pinhole images, the warped ones give other colors.
     let mut wrong = mei.recording().clone();
-    wrong.frames[0].images[0].camera.lens = None;
+    Arc::make_mut(&mut wrong.frames[0].images[0].camera).lens = None;
     let blind = pskel_testing::shared::WithLog { drive: &mei, log: wrong };
     assert!(psnr(&blind, narrow) < plain - 3.0);
 }

@@ -84,7 +84,7 @@ fn frame(index: usize) -> Frame {
             t_us,
             global_from_ego,
             ego_from_camera,
-            camera,
+            camera: camera.into(),
         }],
         between_images: Vec::new(),
         boxes: vec![TrackBox { track: 0, cuboid: car }, TrackBox { track: 1, cuboid: cone }],

@@ -127,7 +127,9 @@ fn frame(index: i64) -> Frame {
             rotation: camera_rotation(yaw_deg.to_radians()),
             translation: DVec3::new(0.0, 0.0, 1.5),
         },
-        camera: Camera::new(name, width, height, [[cx, 0.0, cx], [0.0, cx, cy], [0.0, 0.0, 1.0]]).unwrap(),
+        camera: Camera::new(name, width, height, [[cx, 0.0, cx], [0.0, cx, cy], [0.0, 0.0, 1.0]])
+            .unwrap()
+            .into(),
     };
     Frame {
         t_us,

@@ -23,7 +23,7 @@ impl WarpedLog {
         let mut cameras: Vec<(Camera, Camera)> = Vec::new();
         let images =
             recording.frames.iter_mut().flat_map(|f| f.images.iter_mut().chain(&mut f.between_images));
-        let images = images.map(|image| &mut image.camera);
+        let images = images.map(|image| Arc::make_mut(&mut image.camera));
         for camera in recording.rig.iter_mut().map(|rig| &mut rig.camera).chain(images) {
             let known = cameras.iter().find(|(_, original)| original == camera).map(|(new, _)| new.clone());
             let new = known.unwrap_or_else(|| warped(camera));
@@ -47,9 +47,10 @@ impl LogReader for WarpedLog {
 
     fn read_image(&self, record: &ImageRecord) -> Result<RgbImage, DatasetError> {
         // A test may state a wrong lens for an image.
-        let is_same = |new: &Camera| Camera { lens: new.lens, ..record.camera.clone() } == *new;
+        let is_same = |new: &Camera| Camera { lens: new.lens, ..Camera::clone(&record.camera) } == *new;
         let (new, original) = self.cameras.iter().find(|(new, _)| is_same(new)).unwrap();
-        let image = self.log.read_image(&ImageRecord { camera: original.clone(), ..record.clone() })?;
+        let image =
+            self.log.read_image(&ImageRecord { camera: original.clone().into(), ..record.clone() })?;
         Ok(warp(&image, original, new))
     }
 

@@ -282,7 +282,9 @@ mod tests {
             channel: 0,
             global_from_ego: Pose::IDENTITY,
             ego_from_camera: Pose::IDENTITY,
-            camera: Camera::new("c", 2, 2, [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]).unwrap(),
+            camera: Camera::new("c", 2, 2, [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
+                .unwrap()
+                .into(),
         }
     }
 

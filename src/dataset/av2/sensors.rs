@@ -1,6 +1,7 @@
 //! `sensors/`: sweeps and images. File names are times in nanoseconds.
 
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use rustc_hash::FxHashMap;
 
@@ -128,12 +129,14 @@ pub(super) fn add_images(
     let (mut records, folder) = (Vec::new(), folder.join(&rig.camera.name));
     let files = list(&folder, &["jpg", "jpeg", "png"], notes)?;
     check_clock(&files, "images", times_ns)?;
+    let camera = Arc::new(rig.camera.clone());
     for Timed { t_ns, path } in files {
         let Some(global_from_ego) = ego.at(t_ns) else {
             notes.gap(Gap::record(NO_POSE_OF_IMAGE, format!("image at {t_ns}"), &folder));
             continue;
         };
-        let RigCamera { channel, ego_from_camera, camera } = rig.clone();
+        let RigCamera { channel, ego_from_camera, .. } = *rig;
+        let camera = Arc::clone(&camera);
         let t_us = micros(t_ns);
         let token = format!("{log}_{}_{t_ns}", camera.name);
         let record =

@@ -2,6 +2,8 @@
 //!
 //! Cameras run at 10 Hz and the LiDAR at 20 Hz, so an image may belong to two frames.
 
+use std::sync::Arc;
+
 use rustc_hash::FxHashMap;
 
 use super::clocks::check_sweeps;
@@ -48,7 +50,7 @@ pub(super) struct FrameImages {
 struct RawCamera {
     token: Vec<u8>,
     ego_from_camera: Pose,
-    camera: Camera,
+    camera: Arc<Camera>,
 }
 
 /// Row of `image`.
@@ -101,9 +103,12 @@ pub(super) fn read(
         }
     }
     frames.iter_mut().for_each(|f| f.between_images.sort_by_key(|i| (i.t_us, i.channel)));
-    let rig =
-        |(channel, RawCamera { ego_from_camera, camera, .. })| RigCamera { channel, ego_from_camera, camera };
-    Ok(CameraImages { rig: cameras.into_iter().enumerate().map(rig).collect(), frames })
+    let rig = |(channel, RawCamera { ego_from_camera, camera, .. }): (usize, &RawCamera)| RigCamera {
+        channel,
+        ego_from_camera: *ego_from_camera,
+        camera: Camera::clone(camera),
+    };
+    Ok(CameraImages { rig: cameras.iter().enumerate().map(rig).collect(), frames })
 }
 
 /// Returns the image nearest to a time, within the tolerance. Ties go to the earlier one.
@@ -131,7 +136,7 @@ fn cameras(
     database.rows(&Query { table: "camera", columns, from: "FROM camera" }, |row| {
         let (token, ego_from_camera) = (row.blob(0)?.to_owned(), extrinsics(row, 1, database)?);
         note(notes, NO_LENS, usize::from(row.is_null(5)));
-        cameras.push(RawCamera { token, ego_from_camera, camera: camera(row, distortion, database)? });
+        cameras.push(RawCamera { token, ego_from_camera, camera: camera(row, distortion, database)?.into() });
         Ok(())
     })?;
     if cameras.len() > MAX_CAMERAS {
@@ -276,7 +281,7 @@ fn record(
     let Some(global_from_ego) = ego_pose(row, 4, database)? else { return Ok(None) };
     let (t_us, name) = (row.time_us(1)?, row.text(3)?);
     let path = place.sensors.resolve(name).map_err(|error| row.wrong(3, &error.expected, &error.found))?;
-    let (ego_from_camera, camera) = (camera.ego_from_camera, camera.camera.clone());
+    let (ego_from_camera, camera) = (camera.ego_from_camera, Arc::clone(&camera.camera));
     let token = hex(row.blob(0)?);
     Ok(Some(ImageRecord { token, channel, path, row: None, t_us, global_from_ego, ego_from_camera, camera }))
 }

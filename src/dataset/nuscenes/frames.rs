@@ -207,7 +207,7 @@ impl Sensors {
         };
         match (sensor.kind(), cameras.iter().position(|c| *c == sensor.channel)) {
             (SensorKind::Camera, Some(channel)) => {
-                let camera = self.camera(data, origin)?;
+                let camera = self.camera(data, origin)?.into();
                 let ego_from_camera = ego_from_sensor;
                 let token = data.token.clone();
                 let record = ImageRecord {

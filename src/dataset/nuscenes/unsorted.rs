@@ -180,7 +180,7 @@ mod tests {
             t_us,
             global_from_ego: Pose::IDENTITY,
             ego_from_camera: Pose::IDENTITY,
-            camera: Camera::new("c", 10, 10, rows).unwrap(),
+            camera: Camera::new("c", 10, 10, rows).unwrap().into(),
         }
     }
 

@@ -99,7 +99,7 @@ fn write_files(
 
 fn refuse_distortion(log: &Recording, root: &Path) -> Result<(), FileError> {
     let images = log.frames.iter().flat_map(|f| f.images.iter().chain(&f.between_images));
-    let mut cameras = log.rig.iter().map(|c| &c.camera).chain(images.map(|image| &image.camera));
+    let mut cameras = log.rig.iter().map(|c| &c.camera).chain(images.map(|image| &*image.camera));
     match cameras.find_map(|camera| Some((camera, camera.lens.as_ref()?))) {
         None => Ok(()),
         Some((camera, lens)) => Err(FileError::content(

@@ -1,5 +1,7 @@
 //! `camera.ID.arrow`: images of a camera, with the pose of each.
 
+use std::sync::Arc;
+
 use super::cells::{CellKind, CellTable};
 use super::ego::Ego;
 use super::lens;
@@ -15,7 +17,7 @@ use crate::geometry::{Camera, Pose};
 /// Table of a camera's images.
 pub(super) struct CameraTable {
     pub(super) cells: CellTable,
-    pub(super) camera: Camera,
+    pub(super) camera: Arc<Camera>,
     pub(super) ego_from_camera: Pose,
     times_us: Vec<i64>,
     /// Poses of the images; `None` where they follow from the ego's.
@@ -51,7 +53,7 @@ impl CameraTable {
             poses.push(values.map(|values| metadata::pose(values, &record(), &cells.file)).transpose()?);
         }
         let cells = cells.ready()?;
-        let mut table = Self { cells, camera, ego_from_camera, times_us, poses };
+        let mut table = Self { cells, camera: camera.into(), ego_from_camera, times_us, poses };
         table.check_extrinsic(ego, notes);
         Ok(Some(table))
     }
@@ -133,14 +135,14 @@ impl CameraTable {
             (CellKind::Bytes, ..) => (table.to_owned(), u32::try_from(row).ok()),
             (CellKind::Video, ..) => (table.with_extension("mp4"), u32::try_from(row).ok()),
         };
-        let (camera, ego_from_camera) = (self.camera.clone(), self.ego_from_camera);
+        let (camera, ego_from_camera) = (Arc::clone(&self.camera), self.ego_from_camera);
         let token = format!("{}_{}_{t_us}", target.sync.about.log_name, camera.name);
         Ok(Some(ImageRecord { token, channel, path, row, t_us, global_from_ego, ego_from_camera, camera }))
     }
 
     /// Returns the camera for the rig.
     pub(super) fn rig(&self, channel: usize) -> RigCamera {
-        RigCamera { channel, ego_from_camera: self.ego_from_camera, camera: self.camera.clone() }
+        RigCamera { channel, ego_from_camera: self.ego_from_camera, camera: Camera::clone(&self.camera) }
     }
 }
 

@@ -16,6 +16,7 @@ mod choose;
 mod codec;
 mod ego;
 mod files;
+mod headings;
 mod labels;
 mod lens;
 mod lidars;

@@ -7,6 +7,7 @@ use super::cameras::CameraTable;
 use super::cells::CellKind;
 use super::ego::Ego;
 use super::files::PointFiles;
+use super::headings::note_backward;
 use super::lidars::LidarTable;
 use super::sync::Sync;
 use super::target::Target;
@@ -48,10 +49,11 @@ pub(super) fn read(locator: &LogLocator) -> Result<Tables, DatasetError> {
     let mut notes = Notes::new();
     let ego = Ego::read(folder, &sync)?;
     let (cameras, lidars) = sensors(locator, &sync, &ego, &mut notes)?;
-    let (rows, mut frames) = frames(&sync, &ego, &lidars, &mut notes)?;
+    let (rows, mut frames) = frames(&sync, &ego, &lidars, cameras.len(), &mut notes)?;
     let found = boxes::read(folder, &sync, &rows, &mut notes)?;
     let lights = lights::read(folder, &sync, &rows, &mut notes)?;
     frames.iter_mut().zip(found.frames).for_each(|(frame, boxes)| frame.boxes = boxes);
+    note_backward(&frames, found.tracks.len(), &mut notes);
     let times_us: Vec<i64> = frames.iter().map(|frame| frame.t_us).collect();
     note_interval(&times_us, Unit::MICROS, &mut notes);
     let paths = cameras.iter().map(|camera| &camera.cells).chain(lidars.iter().map(|lidar| &lidar.cells));
@@ -93,6 +95,7 @@ fn frames(
     sync: &Sync,
     ego: &Ego,
     lidars: &[LidarTable],
+    cameras: usize,
     notes: &mut Notes,
 ) -> Result<(Vec<usize>, Vec<Frame>), FileError> {
     let (mut rows, mut frames) = (Vec::new(), Vec::new());
@@ -103,7 +106,9 @@ fn frames(
             notes.gap(Gap::record(NO_POSE, format!("frame at {t_us}"), &sync.path));
             continue;
         };
-        let (sweeps, images, between_images, boxes) = Default::default();
+        // Vectors that grow would take twice the memory in long logs.
+        let (sweeps, images) = (Vec::with_capacity(lidars.len()), Vec::with_capacity(cameras));
+        let (between_images, boxes) = Default::default();
         rows.push(row);
         frames.push(Frame { t_us, global_from_ego, sweeps, images, between_images, boxes });
     }

@@ -214,6 +214,8 @@ impl Fingerprint {
 
 #[cfg(test)]
 mod tests {
+    use std::sync::Arc;
+
     use glam::DVec3;
 
     use super::*;
@@ -233,7 +235,7 @@ mod tests {
             t_us: 1,
             global_from_ego: Pose::IDENTITY,
             ego_from_camera: Pose::IDENTITY,
-            camera: Camera::new("front", 8, 8, rows).unwrap(),
+            camera: Camera::new("front", 8, 8, rows).unwrap().into(),
         };
         let sweep = SweepRecord {
             path: format!("{root}/sweeps/1").into(),
@@ -288,8 +290,8 @@ mod tests {
             &|log| log.frames[0].images[0].path = "/data/images/3".into(),
             &|log| log.frames[0].sweeps[0].row = Some(1),
             &|log| log.frames[0].images[0].row = Some(1),
-            &|log| log.frames[0].images[0].camera.intrinsics.z_axis.y += 1e-9,
-            &|log| log.frames[0].images[0].camera.lens = lens,
+            &|log| Arc::make_mut(&mut log.frames[0].images[0].camera).intrinsics.z_axis.y += 1e-9,
+            &|log| Arc::make_mut(&mut log.frames[0].images[0].camera).lens = lens,
             &|log| log.frames[0].between_images[0].t_us = 2,
             &|log| {
                 let image = log.frames[0].between_images.pop();

@@ -8,6 +8,7 @@ pub(super) mod notes;
 use std::borrow::Cow;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use super::{Class, DatasetError, Gap, MissingData, ReadOptions};
 use crate::files::FileName;
@@ -163,8 +164,8 @@ pub struct ImageRecord {
     pub global_from_ego: Pose,
     /// Extrinsics.
     pub ego_from_camera: Pose,
-    /// Size and intrinsics.
-    pub camera: Camera,
+    /// Size and intrinsics, shared by images of one calibration.
+    pub camera: Arc<Camera>,
 }
 
 /// Camera mounted on the ego, independent of its images.
@@ -277,7 +278,7 @@ impl RigCamera {
 impl From<&ImageRecord> for RigCamera {
     fn from(image: &ImageRecord) -> Self {
         let ImageRecord { channel, ego_from_camera, ref camera, .. } = *image;
-        Self { channel, ego_from_camera, camera: camera.clone() }
+        Self { channel, ego_from_camera, camera: Camera::clone(camera) }
     }
 }
 

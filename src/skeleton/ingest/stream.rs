@@ -19,7 +19,7 @@ use super::projector::{Pixels, PointColumns};
 use super::request::{BuildInput, Progress};
 use super::sweep::SweepCloud;
 use crate::dataset::{DatasetError, Frame, ImageRecord, LogReader, Recording, SweepRecord, TrackBox};
-use crate::geometry::View;
+use crate::geometry::{Camera, View};
 use crate::skeleton::{BuildOptions, Coloring, Projector, Splitter, Trajectories};
 
 /// Number of frames whose sweeps are read at once.
@@ -253,7 +253,7 @@ impl<'a> Stream<'a> {
         let view = |record: &&ImageRecord| {
             let image = self.reader.read_image(record)?;
             let view = View {
-                camera: record.camera.clone(),
+                camera: Camera::clone(&record.camera),
                 camera_from_world: record.camera_from_global().affine(),
             };
             let occlusion = self.options.occlusion_test.then(|| {

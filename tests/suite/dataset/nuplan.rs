@@ -3,7 +3,7 @@
 use glam::{DVec2, DVec3};
 use point_skeleton::Log;
 use point_skeleton::dataset::{self, Class, DatasetError, LogLocator, LogReader};
-use point_skeleton::geometry::{LensModel, View};
+use point_skeleton::geometry::{Camera, LensModel, View};
 use pskel_testing::nuplan_log::{
     CAMERA_Z, CORNERS, DELAY_US, DISTORTION, FIRST_US, FRAMES, LIDAR_Z, LOG, MAP, NuplanLog, RING, STEP_US,
     assert_says, car_at, ego_at, image_file, sweep_file, token,
@@ -73,8 +73,10 @@ fn known_points_fall_on_known_pixels() {
     let eye = ego_at(0.1) + DVec3::Z * CAMERA_Z;
     let pixel = |channel: usize, offset: DVec3| {
         let image = &frame.images[channel];
-        let view =
-            View { camera: image.camera.clone(), camera_from_world: image.camera_from_global().affine() };
+        let view = View {
+            camera: Camera::clone(&image.camera),
+            camera_from_world: image.camera_from_global().affine(),
+        };
         view.project(eye + offset)
     };
     let near = |found: Option<(DVec2, f64)>, pixel: [f64; 2], depth_m: f64| {

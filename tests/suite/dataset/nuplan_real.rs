@@ -7,7 +7,7 @@ use point_skeleton::cloud::Point;
 use point_skeleton::dataset::nuplan::NuPlan;
 use point_skeleton::dataset::nuscenes::NuScenes;
 use point_skeleton::dataset::{ImageRecord, LogLocator, LogReader, VectorMap};
-use point_skeleton::geometry::View;
+use point_skeleton::geometry::{Camera, View};
 use point_skeleton::skeleton::{BuildOptions, Chunk, Part, Skeleton, Splitter, Trajectories};
 use rstar::{PointDistance, RTree};
 use serde_json::Value;
@@ -125,7 +125,7 @@ fn both_layouts_describe_the_same_world() {
 /// Checks that the corners of the boxes project to the same pixels; returns how many lie in the image.
 fn project_alike(image: &ImageRecord, twin: &ImageRecord, frame: &point_skeleton::dataset::Frame) -> usize {
     let view = |record: &ImageRecord| View {
-        camera: record.camera.clone(),
+        camera: Camera::clone(&record.camera),
         camera_from_world: record.camera_from_global().affine(),
     };
     let (view, twin) = (view(image), view(twin));

@@ -64,7 +64,7 @@ fn frame(index: usize, has_cone: bool) -> Frame {
             t_us: t_us - early_us,
             global_from_ego: at(0.1 * index as f64 - early_us as f64 * 1e-6),
             ego_from_camera: Pose { rotation: turn * DQuat::from_mat3(&axes), translation: DVec3::Z * 1.5 },
-            camera: Camera::new(CAMERAS[channel], 60, 40, rows).unwrap(),
+            camera: Camera::new(CAMERAS[channel], 60, 40, rows).unwrap().into(),
         }
     };
     let ego_from_lidar = Pose::from_yaw(0.0, DVec3::Z * 1.8);

@@ -147,7 +147,7 @@ mod tests {
                 t_us: t_us - 20_000,
                 global_from_ego: Pose::IDENTITY,
                 ego_from_camera,
-                camera: camera.clone(),
+                camera: camera.clone().into(),
             };
             let boxes = vec![TrackBox { track: 0, cuboid: Cuboid::new(pose, DVec3::ONE).unwrap() }];
             let (sweeps, between_images) = Default::default();
@@ -205,8 +205,7 @@ mod tests {
     fn rig_cameras_replace_missing_images() {
         let (ahead, beside) = (DVec3::new(10.0, 0.0, 0.0), DVec3::new(10.0, 12.0, 0.0));
         let mut log = log([beside, ahead, beside]);
-        let ImageRecord { channel, ego_from_camera, camera, .. } = log.frames[0].images[0].clone();
-        log.rig = vec![RigCamera { channel, ego_from_camera, camera }];
+        log.rig = vec![RigCamera::from(&log.frames[0].images[0])];
         // While there is an image, its own time counts; the frame is 20 ms later.
         assert!(was_in_logged_images(&log, 0, 0, 480_000) && !was_in_logged_images(&log, 0, 0, 1_490_000));
         for frame in &mut log.frames {

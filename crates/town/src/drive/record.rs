@@ -84,7 +84,7 @@ impl Recorder<'_> {
                 t_us,
                 global_from_ego: self.global_from_ego(t_us),
                 ego_from_camera: rig.ego_from_camera,
-                camera: rig.camera.clone(),
+                camera: rig.camera.clone().into(),
             }
         };
         Frame {

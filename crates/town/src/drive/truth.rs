@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use glam::DVec3;
 use image::RgbImage;
 use point_skeleton::dataset::{ImageRecord, PosedActor};
-use point_skeleton::geometry::{Pose, View};
+use point_skeleton::geometry::{Camera, Pose, View};
 use point_skeleton::memory::{Need, Reservation, reserve};
 
 use super::error::TownError;
@@ -117,5 +117,5 @@ pub(super) fn reserve_meshes() -> Result<Reservation, TownError> {
 }
 
 fn view_of(record: &ImageRecord) -> View {
-    View { camera: record.camera.clone(), camera_from_world: record.camera_from_global().affine() }
+    View { camera: Camera::clone(&record.camera), camera_from_world: record.camera_from_global().affine() }
 }

@@ -35,7 +35,7 @@ impl Grey {
                 t_us,
                 global_from_ego,
                 ego_from_camera: Pose::IDENTITY,
-                camera: camera.clone(),
+                camera: camera.clone().into(),
             };
             let (sweeps, between_images, boxes) = Default::default();
             LogFrame { t_us, global_from_ego, sweeps, images: vec![image], between_images, boxes }
