@@ -110,14 +110,15 @@ impl LogSummary {
         let log = dataset.recording();
         let mut damaged: Vec<String> =
             log.gaps.iter().filter(|gap| gap.file().is_some()).map(ToString::to_string).collect();
-        // The frames of a camera may miss the same folder.
-        damaged.dedup();
         let (points, errors) = sweeps(dataset);
         damaged.extend(errors);
         let mut left_out = log.notes.clone();
         contents(dataset, points, &mut left_out, &mut damaged);
         damaged.extend(images(dataset));
         let map = map(dataset, &mut left_out, &mut damaged);
+        // Images and sweeps may be in one file.
+        let mut seen = BTreeSet::new();
+        damaged.retain(|message| seen.insert(message.clone()));
         let t_us = log.frames.first().zip(log.frames.last()).map(|(a, b)| [a.t_us, b.t_us]);
         let empty = |counts: &[Vec<Option<u32>>]| {
             let known: Vec<u32> = counts.iter().flatten().flatten().copied().collect();

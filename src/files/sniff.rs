@@ -21,7 +21,7 @@ const MAGIC: [(&[u8], &str); 27] = [
     (b"II*\0", "a TIFF image"),
     (b"MM\0*", "a TIFF image"),
     (b"SQLite format 3\0", "a SQLite database"),
-    (b"ARROW1", "a Feather (Arrow IPC) file"),
+    (b"ARROW1", "an Arrow file (Feather)"),
     (b"FEA1", "a Feather file of version 1 (write version 2)"),
     (b"PAR1", "a Parquet file"),
     (b"\x89HDF\r\n", "an HDF5 file"),

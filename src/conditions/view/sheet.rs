@@ -32,6 +32,8 @@ const MARGIN: u32 = 16;
 const GAP: u32 = 4;
 /// Height of a block's title, pixels.
 const TITLE: u32 = 28;
+/// Width of a title and its legend, pixels.
+const MIN_WIDTH: u32 = 448;
 /// Width of the depth legend, pixels.
 const BAR: u32 = 160;
 
@@ -79,10 +81,10 @@ pub fn draw(set: &ConditionSet, bins: &DepthBins, caption: &str) -> (ImageSize, 
     // Legends need some width.
     let grid = if grid.columns == 1 { Grid::of(set, 2 * TILE_WIDTH_PX) } else { grid };
     let kinds = kinds(set);
-    let block = TITLE + grid.height();
+    let (block, width) = (TITLE + grid.height(), grid.width().max(MIN_WIDTH));
     let size = ImageSize {
         height: MARGIN + TITLE + kinds.len() as u32 * (block + MARGIN),
-        width: 2 * MARGIN + grid.width(),
+        width: 2 * MARGIN + width,
     };
     let mut canvas = Canvas::new(size, BACKGROUND);
     canvas.text([MARGIN, MARGIN], 2, TEXT, caption);
@@ -90,7 +92,7 @@ pub fn draw(set: &ConditionSet, bins: &DepthBins, caption: &str) -> (ImageSize, 
     for (place, &kind) in (0..).zip(&kinds) {
         let top = MARGIN + TITLE + place * (block + MARGIN);
         canvas.text([MARGIN, top + 6], 2, TEXT, kind.name());
-        legend(&mut canvas, MARGIN + grid.width(), top + 6, kind, bins);
+        legend(&mut canvas, MARGIN + width, top + 6, kind, bins);
         tiles.iter().for_each(|tile| tile.draw(&mut canvas, [MARGIN, top + TITLE], kind, &shades));
     }
     (canvas.size, canvas.pixels)

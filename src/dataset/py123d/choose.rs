@@ -36,7 +36,11 @@ pub(super) fn expand(locator: &LogLocator) -> Result<Vec<LogLocator>, DatasetErr
     if candidates.is_empty() {
         let expected =
             format!("a log (a folder with {SYNC}) or a folder of logs (ROOT, ROOT/{LOGS} or a split in it)");
-        return Err(FileError::content(expected, "neither", path).into());
+        let entries = std::fs::read_dir(path).into_iter().flatten().flatten();
+        let has_tables =
+            entries.map(|entry| entry.path()).any(|file| file.extension().is_some_and(|end| end == "arrow"));
+        let found = if has_tables { format!("tables without {SYNC}") } else { "neither".to_owned() };
+        return Err(FileError::content(expected, found, path).into());
     }
     if let Some(split) = &locator.version {
         let splits: Vec<String> = candidates.iter().map(|log| log.split.clone()).collect();

@@ -244,7 +244,7 @@ fn mapped(file: MappedFile) -> Buffer {
 }
 
 fn no_arrow(found: String, path: &Path) -> FileError {
-    FileError::content("a Feather (Arrow IPC) file", found, path)
+    FileError::content("an Arrow file (Feather)", found, path)
 }
 
 fn missing_column(name: &str, schema: &Schema, path: &Path) -> FileError {

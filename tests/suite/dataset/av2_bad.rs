@@ -43,10 +43,10 @@ fn truncated_tables_and_other_formats_are_named() {
                 0 => "found an empty file".to_owned(),
                 _ => format!("found {cut} bytes (cut off, or another format)"),
             };
-            log.refuses(&["expected a Feather (Arrow IPC) file", &found], table);
+            log.refuses(&["expected an Arrow file (Feather)", &found], table);
         }
         std::fs::write(log.path(table), [&whole[..], &whole[whole.len() - 6..]].concat()).unwrap();
-        log.refuses(&["expected a Feather (Arrow IPC) file"], table);
+        log.refuses(&["expected an Arrow file (Feather)"], table);
         std::fs::write(log.path(table), whole).unwrap();
     }
     log.open().unwrap();
@@ -389,7 +389,7 @@ fn damaged_sweeps_and_images_are_named() {
     log.edit(&sweep(0), |c| c.iter_mut().for_each(|(_, column)| *column = column.slice(0, 0)));
     assert!(dataset.check_sweep(record).unwrap_err().to_string().contains("at least one point, found none"));
     std::fs::write(&record.path, "text").unwrap();
-    fails(&["a Feather (Arrow IPC) file", "4 bytes"]);
+    fails(&["an Arrow file (Feather)", "4 bytes"]);
     std::fs::remove_file(&record.path).unwrap();
     fails(&["cannot read"]);
     let image = &dataset.recording().frames[0].images[0];

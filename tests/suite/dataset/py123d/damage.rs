@@ -84,7 +84,7 @@ fn truncated_tables_and_other_formats_are_named() {
         let whole = std::fs::read(&path).unwrap();
         let check = |bytes: &[u8], found: &str| {
             std::fs::write(&path, bytes).unwrap();
-            let expected = "expected a Feather (Arrow IPC) file";
+            let expected = "expected an Arrow file (Feather)";
             assert_message(&read_all(&made), &[expected, &format!("found {found}")], &ending);
         };
         for cut in (1..whole.len()).step_by(whole.len().div_ceil(50)).chain([whole.len() - 1]) {

@@ -249,7 +249,7 @@ fn rejects_other_formats_by_name_in_every_layout() {
         (&b"\x93NUMPY\x01\0v\0{'descr': '<f4'"[..], "an NPY array"),
         (b"PK\x03\x04", "a ZIP archive (unpack it)"),
         (b"ply\nformat binary_little_endian 1.0\n", "a PLY file"),
-        (b"ARROW1\0\0", "a Feather (Arrow IPC) file"),
+        (b"ARROW1\0\0", "an Arrow file (Feather)"),
         (b"1.0 2.0 3.0 4.0 5.0\n1.0 2.0 3.0 4.0 5.0\n", "text"),
     ] {
         let length = 4000 - start.len();

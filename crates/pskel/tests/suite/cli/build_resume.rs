@@ -209,7 +209,7 @@ fn logs_of_one_location_share_a_background() {
         log.succeed(&format!("render {name} --skeleton out/both --out out/maps --frames 0..1 --maps depth"));
     }
     let output = log.run("build nuscenes:log nuscenes:log --out out/again");
-    assert_failed(&output, 1, &["logs of one place, each once", "tiny (nowhere), tiny (nowhere)"]);
+    assert_failed(&output, 1, &["logs of one place with different names", "tiny (nowhere), tiny (nowhere)"]);
 }
 
 #[test]
