@@ -236,7 +236,7 @@ impl<'a> Simulation<'a> {
             return Err(SimError::Takeover { step, steps_per_plan });
         }
         let options = SimOptions { warmup_frames: step / steps_per_plan + 1, ..self.options.clone() };
-        let clock = Clock { takeover: step, ..self.clock.clone() };
+        let clock = self.clock.with_takeover(step);
         self.driver = Driver::new(&options, &clock, &self.recorded, step)?;
         (self.options, self.clock, self.log_ended) = (options, clock, false);
         self.committed.tally.add(&self.recorded, self.road.as_ref(), self.committed.world.get());

@@ -122,16 +122,17 @@ impl Bicycle {
 
     /// Advances by a short time with an acceleration, and the steering angle towards a target at its limited
     /// rate.
-    pub(super) fn advance(&mut self, braked: f64, target_rad: f64, dt_s: f64) {
+    pub(super) fn advance(&mut self, acceleration_mps2: f64, target_rad: f64, dt_s: f64) {
         let most_rad = MAX_STEERING_RADPS * dt_s;
         self.steering_rad += (target_rad - self.steering_rad).clamp(-most_rad, most_rad);
-        self.acceleration_mps2 = braked;
-        let (speed_mps, yaw_rate_radps) = (self.speed_mps + braked * dt_s / 2.0, self.yaw_rate_radps());
+        self.acceleration_mps2 = acceleration_mps2;
+        let (speed_mps, yaw_rate_radps) =
+            (self.speed_mps + acceleration_mps2 * dt_s / 2.0, self.yaw_rate_radps());
         // Midpoint values for speed and heading.
         let heading_rad = self.heading_rad + yaw_rate_radps * dt_s / 2.0;
         self.place_m += DVec2::from_angle(heading_rad) * (speed_mps * dt_s);
         self.heading_rad = wrap_angle(self.heading_rad + yaw_rate_radps * dt_s);
-        self.speed_mps += braked * dt_s;
+        self.speed_mps += acceleration_mps2 * dt_s;
     }
 
     fn wanted_steering(&self, left_m: f64, heading_rad: f64, curvature: f64) -> f64 {

@@ -52,7 +52,8 @@ impl Wheel {
             return Waypoint::of(ego, next_us);
         }
         let controls = controls.clamped();
-        let mut bicycle = Bicycle { steering_rad: self.steering_rad, ..Bicycle::of(ego) };
+        let mut bicycle = Bicycle::of(ego);
+        bicycle.steering_rad = self.steering_rad;
         let stands = ego.speed_mps.abs() <= STANDSTILL_MPS;
         let count = (seconds(now_us, next_us) / CONTROL_S).ceil().max(1.0);
         let dt_s = seconds(now_us, next_us) / count;
