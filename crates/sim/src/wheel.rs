@@ -179,7 +179,8 @@ mod tests {
         for _ in 0..40 {
             now = wheel.drive(&ego(&now), controls, now.t_us, now.t_us + 100_000);
             let off_m = (now.x_m.hypot(now.y_m - radius_m) - radius_m).abs();
-            assert!(off_m < 1e-3, "{off_m}");
+            // Yaw rates are of the speed before each substep, which drag reduces.
+            assert!(off_m < 5e-3, "{off_m}");
         }
         assert_eq!(wheel.steering_rad(), 0.3);
     }
