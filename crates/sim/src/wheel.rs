@@ -26,7 +26,8 @@ pub struct Controls {
     pub steer: f64,
 }
 
-/// Steering wheel and pedals of a kinematic bicycle with the limits of [`Tracking::Bicycle`](crate::Tracking).
+/// Steering wheel and pedals of a kinematic bicycle with the limits of
+/// [`Tracking::Bicycle`](crate::Tracking::Bicycle).
 ///
 /// It retains the steering angle, since the angle of an [`EgoState`] can be the mean over a step.
 #[derive(Clone, Copy, Debug, PartialEq)]

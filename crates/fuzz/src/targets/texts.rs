@@ -83,7 +83,8 @@ fn path_seeds() -> Vec<Seed> {
         seed("object", "\0{\"points\": [[3, 0.1], [20, 1]]}"),
         seed(
             "waypoints",
-            "\0{\"waypoints\": [{\"t_us\": 5, \"x_m\": 1, \"y_m\": 2, \"heading_rad\": 0, \"speed_mps\": 3}]}",
+            "\0{\"waypoints\": [{\"t_us\": 5, \"x_m\": 1, \"y_m\": 2, \"heading_rad\": 0, \
+                \"speed_mps\": 3}]}",
         ),
         seed("npy", npy.concat()),
         seed("csv", "\x02x,y\n0,0\n5;0.5\n# nothing\n20 1\n"),
