@@ -23,6 +23,7 @@ class Simulation(_pskel.Simulation):
         ``trajectory`` (file), or plans of ``planner`` (external). Only replay ends with the log.
     trajectory : path, optional
         With ``ego="file"``: the path in the ego's frame, meters forward and to the left; JSON, CSV, TXT or NPY.
+        Or waypoints with times in the global frame: JSON, an object with ``waypoints``.
     reanchor : bool
         With ``ego="file"``: place the path at the ego anew at each plan, instead of once at the takeover.
     planner : str, optional

@@ -75,6 +75,11 @@ impl Clock {
         Ok(Self { start_us, rates, steps_per_plan, takeover, frames_us })
     }
 
+    /// Returns the clock with another last step of the log.
+    pub(super) fn with_takeover(&self, takeover: usize) -> Self {
+        Self { takeover, ..self.clone() }
+    }
+
     /// Returns the time of a step, absolute microseconds; `i64::MAX` beyond a log's frames.
     pub(super) fn at(&self, step: usize) -> i64 {
         if let Some(times) = &self.frames_us {

@@ -76,6 +76,22 @@ pub enum SimError {
         /// Number of the step.
         step: usize,
     },
+    /// The warm-up cannot end at a step without a plan.
+    #[error("expected a takeover at a planning step (every {steps_per_plan} steps), found step {step}")]
+    Takeover {
+        /// Number of the step.
+        step: usize,
+        /// Steps per plan.
+        steps_per_plan: usize,
+    },
+    /// Another policy cannot plan from here: the warm-up has not ended, or the policy replays the log.
+    #[error("expected a policy with plans after the warm-up, found {policy} at step {step}")]
+    Policy {
+        /// Name of the policy.
+        policy: &'static str,
+        /// Number of the step.
+        step: usize,
+    },
     /// The saved state belongs to another rollout, or is invalid.
     #[error("expected a saved state with {expected}, found {found}")]
     Saved {

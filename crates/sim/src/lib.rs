@@ -33,6 +33,7 @@ mod simulation;
 mod state;
 mod time;
 mod tracking;
+mod wheel;
 mod world;
 
 pub use actors::idm_step;
@@ -41,11 +42,13 @@ pub use metrics::{Collision, CollisionKind, Comfort, Deviation, Metrics, OffRoad
 pub use options::{ActorPolicy, EgoKind, EgoPolicy, PathAnchor, Rates, SimOptions, Tracking};
 pub use path::local_path::{LocalPath, LocalPathError};
 pub use path::trajectory::{Trajectory, Waypoint};
+pub use path::trajectory_file::TrajectoryFile;
 pub use saved::SavedState;
 pub use scenario::{Scenario, scene_state};
 pub use simulation::{EndReason, Simulation, StepOutcome};
 pub use state::{
     Committed, EGO_SIZE_M, EgoState, Forecast, Instant, REAR_AXLE_TO_CENTER_M, SimActor, WHEELBASE_M,
 };
+pub use wheel::{Controls, Wheel};
 
 pub use crate::peer::{PeerAddress as PlannerAddress, PeerError as PlannerError, PeerSpec as PlannerSpec};

@@ -1,7 +1,12 @@
+use std::path::Path;
+
 use point_skeleton::dataset::{LogFormat, Recording};
+use point_skeleton::error::FileError;
+use point_skeleton::files::input::read_file;
 use serde::Serialize;
 
-use super::{LocalPath, PlannerSpec};
+use super::{LocalPath, LocalPathError, PlannerSpec, TrajectoryFile};
+use crate::path::local_path::MAX_BYTES;
 use point_skeleton::{named, named_in_files};
 
 /// Options of a rollout.
@@ -65,6 +70,9 @@ pub enum EgoPolicy {
     LaneChange,
     /// Follows a path read from a file.
     File(LocalPath, PathAnchor),
+    /// Follows waypoints with times read from a file; its kind is [`EgoKind::File`].
+    #[serde(rename = "file")]
+    Trajectory(TrajectoryFile),
     /// Follows the plans of an external process.
     External(PlannerSpec),
     /// Follows the plans given to [`Simulation::follow`](super::Simulation::follow).
@@ -102,23 +110,36 @@ impl EgoKind {
 }
 
 impl EgoPolicy {
-    /// Returns the policy of a kind; `None` for [`EgoKind::File`] without a path, and for
-    /// [`EgoKind::External`] without a planner.
-    pub fn new(
-        kind: EgoKind,
-        path: Option<(LocalPath, PathAnchor)>,
-        planner: Option<PlannerSpec>,
-    ) -> Option<Self> {
+    /// Returns the policy of a kind; `None` for [`EgoKind::File`] without the policy of a file
+    /// ([`EgoPolicy::read`]), and for [`EgoKind::External`] without a planner.
+    pub fn new(kind: EgoKind, file: Option<Self>, planner: Option<PlannerSpec>) -> Option<Self> {
         Some(match kind {
             EgoKind::Replay => Self::Replay,
             EgoKind::Straight => Self::Straight,
             EgoKind::RightThenBack => Self::RightThenBack,
             EgoKind::Cosine => Self::Cosine,
             EgoKind::LaneChange => Self::LaneChange,
-            EgoKind::File => path.map(|(path, anchor)| Self::File(path, anchor))?,
+            EgoKind::File => file?,
             EgoKind::External => Self::External(planner?),
             EgoKind::Caller => Self::Caller,
         })
+    }
+
+    /// Reads a path ([`LocalPath::read`]) or waypoints with times ([`TrajectoryFile::read`]). JSON objects
+    /// with the key `waypoints` are the latter.
+    ///
+    /// # Errors
+    /// Returns any error of the two. Fails if waypoints with times have another anchor than the takeover.
+    pub fn read(path: &Path, anchor: PathAnchor) -> Result<Self, LocalPathError> {
+        let bytes = read_file(path, MAX_BYTES)?;
+        if !TrajectoryFile::is_in(&bytes, path) {
+            return Ok(Self::File(LocalPath::parse(&bytes, path)?, anchor));
+        }
+        if anchor == PathAnchor::EachPlan {
+            let expected = "a path of points to place anew at each plan";
+            return Err(FileError::content(expected, "waypoints with times", path).into());
+        }
+        TrajectoryFile::parse(&bytes, path).map(Self::Trajectory)
     }
 
     /// Returns its kind.
@@ -129,7 +150,7 @@ impl EgoPolicy {
             Self::RightThenBack => EgoKind::RightThenBack,
             Self::Cosine => EgoKind::Cosine,
             Self::LaneChange => EgoKind::LaneChange,
-            Self::File(..) => EgoKind::File,
+            Self::File(..) | Self::Trajectory(_) => EgoKind::File,
             Self::External(_) => EgoKind::External,
             Self::Caller => EgoKind::Caller,
         }

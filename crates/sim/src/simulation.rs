@@ -7,7 +7,7 @@ use serde::Serialize;
 use super::actors::{self, ControlledActors};
 use super::clock::Clock;
 use super::ego::Driver;
-use super::external::{Observation, read_plan};
+use super::external::{Observation, plan_of, read_plan};
 use super::history::History;
 use super::metrics::{MetricsAccumulator, Road};
 use super::recorded::Recorded;
@@ -16,8 +16,9 @@ use super::tracking::follow;
 use super::world::World;
 use super::{
     ActorPolicy, Committed, EgoPolicy, Forecast, Instant, Metrics, Rates, Scenario, SimError, SimOptions,
-    Trajectory,
+    Trajectory, Waypoint,
 };
+use crate::peer::ProtocolError;
 
 /// Closed-loop rollout: moves a log's ego and actors by policies, step by step.
 ///
@@ -194,13 +195,77 @@ impl<'a> Simulation<'a> {
     /// # Errors
     /// Fails if the next step requires no plan, or if the plan is invalid. The simulation remains unchanged.
     pub fn follow(&mut self, answer: &[u8]) -> Result<(), SimError> {
+        self.follow_by(|now, due_us| read_plan(answer, now, due_us))
+    }
+
+    /// Sets the plan for the next step as [`Simulation::follow`] does, by waypoints in the global frame.
+    ///
+    /// # Errors
+    /// Returns any error of [`Simulation::follow`].
+    pub fn follow_waypoints(&mut self, next: Vec<Waypoint>) -> Result<(), SimError> {
+        self.follow_by(|now, due_us| plan_of(&next, now, due_us))
+    }
+
+    fn follow_by(
+        &mut self,
+        plan: impl FnOnce(&Instant, i64) -> Result<Trajectory, ProtocolError>,
+    ) -> Result<(), SimError> {
         let now = &self.committed.world.get().instant;
         if !self.needs_plan() {
             return Err(SimError::NotPlanned { step: now.step });
         }
         let due_us = self.clock.at(now.step + self.clock.steps_per_plan);
-        self.driver = Driver::Caller(Some(read_plan(answer, now, due_us)?));
+        self.driver = Driver::Caller(Some(plan(now, due_us)?));
         Ok(())
+    }
+
+    /// Ends the warm-up at the committed step, as if the rollout had been created with such a warm-up; an
+    /// external planner is restarted. A rollout that ended with the log during the warm-up continues. Does
+    /// nothing if the warm-up has ended.
+    ///
+    /// # Errors
+    /// Fails if the committed step is no planning step, or if the planner does not answer. The simulation
+    /// remains unchanged.
+    pub fn take_over(&mut self) -> Result<(), SimError> {
+        let step = self.committed.world.get().instant.step;
+        let steps_per_plan = self.clock.steps_per_plan;
+        if step >= self.clock.takeover {
+            return Ok(());
+        }
+        if !step.is_multiple_of(steps_per_plan) {
+            return Err(SimError::Takeover { step, steps_per_plan });
+        }
+        let options = SimOptions { warmup_frames: step / steps_per_plan + 1, ..self.options.clone() };
+        let clock = self.clock.with_takeover(step);
+        self.driver = Driver::new(&options, &clock, &self.recorded, step)?;
+        (self.options, self.clock, self.log_ended) = (options, clock, false);
+        self.committed.tally.add(&self.recorded, self.road.as_ref(), self.committed.world.get());
+        Ok(())
+    }
+
+    /// Lets another policy plan from the committed state on, at the next planning step. The options remain
+    /// unchanged, so a saved state resumes with their policy.
+    ///
+    /// # Errors
+    /// Fails during the warm-up, for [`EgoPolicy::Replay`] (the ego would jump), or if an external planner
+    /// does not answer. The simulation remains unchanged.
+    pub fn plan_by(&mut self, policy: &EgoPolicy) -> Result<(), SimError> {
+        let now = &self.committed.world.get().instant;
+        if now.step < self.clock.takeover || *policy == EgoPolicy::Replay {
+            return Err(SimError::Policy { policy: policy.name(), step: now.step });
+        }
+        self.driver = Driver::at(policy, now, &self.options, &self.clock, &self.recorded)?;
+        Ok(())
+    }
+
+    /// Returns the log's ego at a time (absolute microseconds) as a waypoint; `None` outside the log.
+    pub fn recorded_waypoint(&self, t_us: i64) -> Option<Waypoint> {
+        Some(Waypoint::of(&self.recorded.ego_at(t_us)?, t_us))
+    }
+
+    /// Returns the time of the next step, absolute microseconds.
+    pub fn next_us(&self) -> i64 {
+        self.clock.at(self.committed.world.get().instant.step + 1)
     }
 
     /// Predicts the next `plan_steps` planning steps after the committed one. The ego follows the rest of its

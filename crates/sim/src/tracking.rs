@@ -9,12 +9,12 @@ use crate::path::route::RouteWindow;
 use crate::path::trajectory::{Trajectory, Waypoint};
 
 /// Maximum steering angle of the front wheels to either side, radians.
-const MAX_STEERING_RAD: f64 = 0.6;
+pub(super) const MAX_STEERING_RAD: f64 = 0.6;
 const MAX_STEERING_RADPS: f64 = 0.8;
-const MAX_ACCELERATION_MPS2: f64 = 4.0;
-const MAX_BRAKING_MPS2: f64 = 8.0;
+pub(super) const MAX_ACCELERATION_MPS2: f64 = 4.0;
+pub(super) const MAX_BRAKING_MPS2: f64 = 8.0;
 /// Maximum time between controller steps, seconds.
-const CONTROL_S: f64 = 0.01;
+pub(super) const CONTROL_S: f64 = 0.01;
 /// Gains of longitudinal errors in position (per second squared) and speed (per second). Errors decay within
 /// about 2 s, without overshoot.
 const GAINS_ALONG: [f64; 2] = [4.0, 4.0];
@@ -69,16 +69,16 @@ fn perfect(stretch: RouteWindow<'_>, now: &Instant, to: &Waypoint) -> EgoState {
 
 /// Kinematic bicycle model about the center of its rear axle.
 #[derive(Clone, Copy, Debug)]
-struct Bicycle {
-    place_m: DVec2,
-    heading_rad: f64,
-    speed_mps: f64,
-    steering_rad: f64,
+pub(super) struct Bicycle {
+    pub(super) place_m: DVec2,
+    pub(super) heading_rad: f64,
+    pub(super) speed_mps: f64,
+    pub(super) steering_rad: f64,
     acceleration_mps2: f64,
 }
 
 impl Bicycle {
-    fn of(ego: &EgoState) -> Self {
+    pub(super) fn of(ego: &EgoState) -> Self {
         Self {
             place_m: ego.position_m(),
             heading_rad: ego.heading_rad(),
@@ -117,16 +117,22 @@ impl Bicycle {
         if wanted.speed_mps >= 0.0 && self.speed_mps >= 0.0 && self.speed_mps + braked * dt_s < 0.0 {
             braked = -self.speed_mps / dt_s;
         }
-        let target_rad = self.wanted_steering(left_m, wanted.heading_rad, curvature);
+        self.advance(braked, self.wanted_steering(left_m, wanted.heading_rad, curvature), dt_s);
+    }
+
+    /// Advances by a short time with an acceleration, and the steering angle towards a target at its limited
+    /// rate.
+    pub(super) fn advance(&mut self, acceleration_mps2: f64, target_rad: f64, dt_s: f64) {
         let most_rad = MAX_STEERING_RADPS * dt_s;
         self.steering_rad += (target_rad - self.steering_rad).clamp(-most_rad, most_rad);
-        self.acceleration_mps2 = braked;
-        let (speed_mps, yaw_rate_radps) = (self.speed_mps + braked * dt_s / 2.0, self.yaw_rate_radps());
+        self.acceleration_mps2 = acceleration_mps2;
+        let (speed_mps, yaw_rate_radps) =
+            (self.speed_mps + acceleration_mps2 * dt_s / 2.0, self.yaw_rate_radps());
         // Midpoint values for speed and heading.
         let heading_rad = self.heading_rad + yaw_rate_radps * dt_s / 2.0;
         self.place_m += DVec2::from_angle(heading_rad) * (speed_mps * dt_s);
         self.heading_rad = wrap_angle(self.heading_rad + yaw_rate_radps * dt_s);
-        self.speed_mps += braked * dt_s;
+        self.speed_mps += acceleration_mps2 * dt_s;
     }
 
     fn wanted_steering(&self, left_m: f64, heading_rad: f64, curvature: f64) -> f64 {
@@ -137,6 +143,12 @@ impl Bicycle {
         let sign = if self.speed_mps < 0.0 { -1.0 } else { 1.0 };
         let offset_m = left_m.clamp(-MAX_ERRORS_M[1], MAX_ERRORS_M[1]);
         let wanted = along - sign * GAINS_ACROSS[1] * turned_rad - GAINS_ACROSS[0] * offset_m * sinc;
+        self.limited_steering(wanted)
+    }
+
+    /// Returns the steering angle (radians) for a curvature (per meter), limited by lateral acceleration and
+    /// angle.
+    pub(super) fn limited_steering(&self, wanted: f64) -> f64 {
         let limit = MAX_LATERAL_MPS2 / self.speed_mps.powi(2).max(1e-3);
         let wanted = wanted.clamp(-limit, limit);
         (WHEELBASE_M * wanted).atan().clamp(-MAX_STEERING_RAD, MAX_STEERING_RAD)

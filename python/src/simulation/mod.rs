@@ -6,8 +6,8 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use numpy::ndarray::ArrayViewD;
 use point_skeleton::error::with_causes;
 use pskel_sim::{
-    EgoKind, EgoPolicy, Instant, LocalPath, PathAnchor, PlannerAddress, PlannerSpec, SavedState, Scenario,
-    SimOptions, scene_state,
+    EgoKind, EgoPolicy, Instant, PathAnchor, PlannerAddress, PlannerSpec, SavedState, Scenario, SimOptions,
+    scene_state,
 };
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
@@ -289,7 +289,7 @@ fn points(view: &ArrayViewD<'_, f64>, from: [f64; 2], dt: f64) -> Vec<Point> {
 fn options(keywords: Keywords<'_, '_>) -> PyResult<SimOptions> {
     let kind: EgoKind = keywords.named("ego")?;
     let anchor = if keywords.get("reanchor")? { PathAnchor::EachPlan } else { PathAnchor::Takeover };
-    let path = keywords.path("trajectory")?.as_deref().map(LocalPath::read).transpose();
+    let path = keywords.path("trajectory")?.as_deref().map(|path| EgoPolicy::read(path, anchor)).transpose();
     let path = path.map_err(|error| invalid(with_causes(&error)))?;
     let planner = keywords.get::<Option<String>>("planner")?;
     let planner: Option<PlannerAddress> = planner.as_deref().map(str::parse).transpose().map_err(invalid)?;
@@ -307,7 +307,7 @@ fn options(keywords: Keywords<'_, '_>) -> PyResult<SimOptions> {
     }
     let timeout_s = keywords.number("planner_timeout", "above 0 s", |seconds| seconds > 0.0)?;
     let planner = planner.map(|address| PlannerSpec { address, timeout_s: timeout_s.unwrap_or(10.0) });
-    let ego = EgoPolicy::new(kind, path.map(|path| (path, anchor)), planner).unwrap_or(EgoPolicy::Caller);
+    let ego = EgoPolicy::new(kind, path, planner).unwrap_or(EgoPolicy::Caller);
     Ok(SimOptions {
         seed: keywords.get("seed")?,
         steps: keywords.get("steps")?,

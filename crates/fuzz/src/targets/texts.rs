@@ -8,8 +8,8 @@ use point_skeleton::dataset::LogLocator;
 use point_skeleton::geometry::ImageSize;
 use point_skeleton::raster::SplatSchedule;
 use pskel::logs;
-use pskel_sim::LocalPath;
 use pskel_sim::peer::PeerAddress;
+use pskel_sim::{EgoPolicy, PathAnchor};
 use pskel_town::TownOptions;
 
 use super::{SMALL, Scratch, seed};
@@ -69,7 +69,7 @@ fn path(data: &[u8]) {
     let (format, bytes) = data.split_first().unwrap_or((&0, &[]));
     let name = ["p.json", "p.npy", "p.csv", "p.txt"][usize::from(format % 4)];
     let file = SCRATCH.with_borrow(|scratch| scratch.put(name, bytes));
-    if let Err(error) = LocalPath::read(&file) {
+    if let Err(error) = EgoPolicy::read(&file, PathAnchor::Takeover) {
         assert_names_file(error, &file, data);
     }
 }
@@ -81,6 +81,11 @@ fn path_seeds() -> Vec<Seed> {
     vec![
         seed("list", "\0[[0, 0], [5, 0.5], [20, 1]]"),
         seed("object", "\0{\"points\": [[3, 0.1], [20, 1]]}"),
+        seed(
+            "waypoints",
+            "\0{\"waypoints\": [{\"t_us\": 5, \"x_m\": 1, \"y_m\": 2, \"heading_rad\": 0, \
+                \"speed_mps\": 3}]}",
+        ),
         seed("npy", npy.concat()),
         seed("csv", "\x02x,y\n0,0\n5;0.5\n# nothing\n20 1\n"),
     ]

@@ -16,7 +16,9 @@ use super::external::{Observation, Planner};
 use super::history::History;
 use super::recorded::Recorded;
 use super::world::World;
-use super::{EgoPolicy, Instant, LocalPath, PathAnchor, SimError, SimOptions, Trajectory, Waypoint};
+use super::{
+    EgoPolicy, EgoState, Instant, LocalPath, PathAnchor, SimError, SimOptions, Trajectory, Waypoint,
+};
 
 /// Horizon of built-in plans: 22 waypoints at 0.1 s.
 const HORIZON_US: i64 = 2_200_000;
@@ -24,15 +26,26 @@ const HORIZON_US: i64 = 2_200_000;
 /// Ego policy with its private data.
 pub(super) enum Driver {
     Replay,
-    Preset(Preset),
+    /// Preset shapes, and the step of the first plan.
+    Preset(Preset, usize),
     /// Course computed once at the takeover; `None` if the log ends before it or the ego's pose is not
     /// finite.
     Course(Option<Course>),
     /// Path from a file, placed anew at each plan.
     Path(LocalPath),
+    /// Waypoints with times after the takeover; `None` if the log ends before it.
+    Timed(Option<Trajectory>),
     External(Box<Planner>),
     /// Plan of the caller for the current step.
     Caller(Option<Trajectory>),
+}
+
+/// State from which a policy plans.
+struct Start {
+    step: usize,
+    t_us: i64,
+    /// `None` if the log ends before it.
+    ego: Option<EgoState>,
 }
 
 impl Driver {
@@ -43,19 +56,50 @@ impl Driver {
         recorded: &Recorded<'_>,
         step: usize,
     ) -> Result<Self, SimError> {
-        let takeover_us = clock.at(clock.takeover);
-        let start = || recorded.ego_at(takeover_us);
-        Ok(match &options.ego {
+        let start_us = clock.at(clock.takeover);
+        let start = Start { step: clock.takeover, t_us: start_us, ego: recorded.ego_at(start_us) };
+        Self::from(&options.ego, start, options, clock, recorded, step)
+    }
+
+    /// Creates a policy that plans from a committed state on.
+    pub(super) fn at(
+        policy: &EgoPolicy,
+        now: &Instant,
+        options: &SimOptions,
+        clock: &Clock,
+        recorded: &Recorded<'_>,
+    ) -> Result<Self, SimError> {
+        let start = Start { step: now.step, t_us: now.t_us, ego: Some(now.ego) };
+        Self::from(policy, start, options, clock, recorded, now.step)
+    }
+
+    fn from(
+        policy: &EgoPolicy,
+        start: Start,
+        options: &SimOptions,
+        clock: &Clock,
+        recorded: &Recorded<'_>,
+        step: usize,
+    ) -> Result<Self, SimError> {
+        let Start { step: first, t_us, ego } = start;
+        Ok(match policy {
             EgoPolicy::Replay => Self::Replay,
-            EgoPolicy::Straight => Self::Preset(Preset::Straight),
-            EgoPolicy::RightThenBack => Self::Preset(Preset::RightThenBack),
-            EgoPolicy::Cosine => Self::Preset(Preset::Cosine),
+            EgoPolicy::Straight => Self::Preset(Preset::Straight, first),
+            EgoPolicy::RightThenBack => Self::Preset(Preset::RightThenBack, first),
+            EgoPolicy::Cosine => Self::Preset(Preset::Cosine, first),
             EgoPolicy::LaneChange => {
-                Self::Course(start().and_then(|ego| lane_change::course(recorded, takeover_us, &ego)))
+                Self::Course(ego.and_then(|ego| lane_change::course(recorded, t_us, &ego)))
             }
             EgoPolicy::File(path, PathAnchor::EachPlan) => Self::Path(path.clone()),
             EgoPolicy::File(path, PathAnchor::Takeover) => {
-                Self::Course(start().and_then(|ego| given_path::course(path, takeover_us, &ego)))
+                Self::Course(ego.and_then(|ego| given_path::course(path, t_us, &ego)))
+            }
+            EgoPolicy::Trajectory(file) => {
+                let from = |ego: EgoState| {
+                    let later = file.waypoints().iter().copied().filter(|w| w.t_us > t_us);
+                    Trajectory::new(Waypoint::of(&ego, t_us), later)
+                };
+                Self::Timed(ego.map(from))
             }
             EgoPolicy::External(spec) => {
                 Self::External(Box::new(Planner::start(spec, options, clock, recorded, step)?))
@@ -76,16 +120,17 @@ impl Driver {
     ) -> Result<Option<Trajectory>, SimError> {
         let now = &world.instant;
         match self {
-            Self::Replay | Self::Course(None) => Ok(None),
-            Self::Preset(preset) => {
-                let plans = (now.step - clock.takeover) / clock.steps_per_plan;
+            Self::Replay | Self::Course(None) | Self::Timed(None) => Ok(None),
+            Self::Preset(preset, first) => {
+                let plans = now.step.saturating_sub(*first) / clock.steps_per_plan;
                 Ok(Some(preset.plan(&now.ego, now.t_us, plans)))
             }
-            Self::Course(Some(course)) => Ok(Some(along(course, clock, now))),
+            Self::Course(Some(course)) => Ok(Some(along(|t_us| course.at(t_us), clock, now))),
             Self::Path(path) => {
                 let course = given_path::course(path, now.t_us, &now.ego);
-                Ok(course.map(|course| along(&course, clock, now)))
+                Ok(course.map(|course| along(|t_us| course.at(t_us), clock, now)))
             }
+            Self::Timed(Some(waypoints)) => Ok(Some(along(|t_us| waypoints.at(t_us), clock, now))),
             Self::External(planner) => {
                 let observation = Observation::new(recorded, clock, world, files, history);
                 Ok(Some(planner.plan(&observation, now, clock.at(now.step + clock.steps_per_plan))?))
@@ -104,12 +149,12 @@ impl Driver {
 }
 
 /// Returns the plan along a course, with waypoints at the simulation steps.
-fn along(course: &Course, clock: &Clock, now: &Instant) -> Trajectory {
+fn along(course: impl Fn(i64) -> Waypoint, clock: &Clock, now: &Instant) -> Trajectory {
     // The last waypoint lies at or beyond the horizon, for any simulation and planning rates.
     let end_us = now.t_us + HORIZON_US.max(clock.at(clock.steps_per_plan) - clock.start_us);
     let mut next: Vec<Waypoint> = Vec::new();
     for t_us in (now.step + 1..).map(|step| clock.at(step)) {
-        next.push(course.at(t_us));
+        next.push(course(t_us));
         if t_us >= end_us {
             break;
         }

@@ -9,7 +9,7 @@ use point_skeleton::files::text::printable;
 use serde::{Deserialize, Serialize};
 
 pub(super) use self::observation::Observation;
-pub(super) use self::plan::read_plan;
+pub(super) use self::plan::{plan_of, read_plan};
 
 use self::hello::{Hello, read_hello};
 use super::clock::Clock;

@@ -53,20 +53,46 @@ pub(crate) fn read_plan(answer: &[u8], now: &Instant, due_us: i64) -> Result<Tra
         ));
     }
     let points = plan.trajectory;
-    if points.is_empty() || points.len() > MAX_WAYPOINTS {
-        return Err(ProtocolError::new(format!("1 to {MAX_WAYPOINTS} waypoints"), points.len().to_string()));
-    }
+    check_count(points.len())?;
     let start = Waypoint::of(&now.ego, now.t_us);
-    let mut next: Vec<Waypoint> = Vec::with_capacity(points.len());
-    for (i, point) in points.iter().enumerate() {
-        let to = placed(point, plan.frame, &start, i)?;
+    let next = points.iter().enumerate().map(|(i, point)| placed(point, plan.frame, &start, i));
+    joined(start, next, due_us)
+}
+
+/// Validates waypoints (global frame) as [`read_plan`] does and returns them unchanged as a plan.
+pub(crate) fn plan_of(next: &[Waypoint], now: &Instant, due_us: i64) -> Result<Trajectory, ProtocolError> {
+    let start = Waypoint::of(&now.ego, now.t_us);
+    check_count(next.len())?;
+    let sound = |(i, w): (usize, &Waypoint)| {
+        let (t, x, y, heading, v) = (seconds(start.t_us, w.t_us), w.x_m, w.y_m, w.heading_rad, w.speed_mps);
+        check_point(&PlannedPoint { t, x, y, heading, v }, i).map(|()| *w)
+    };
+    joined(start, next.iter().enumerate().map(sound), due_us)
+}
+
+fn check_count(found: usize) -> Result<(), ProtocolError> {
+    if found == 0 || found > MAX_WAYPOINTS {
+        return Err(ProtocolError::new(format!("1 to {MAX_WAYPOINTS} waypoints"), found.to_string()));
+    }
+    Ok(())
+}
+
+/// Validates times and distances of waypoints after a start, and joins them to a plan.
+fn joined(
+    start: Waypoint,
+    points: impl Iterator<Item = Result<Waypoint, ProtocolError>>,
+    due_us: i64,
+) -> Result<Trajectory, ProtocolError> {
+    let mut next: Vec<Waypoint> = Vec::new();
+    for (i, point) in points.enumerate() {
+        let to = point?;
         let before = next.last().unwrap_or(&start);
         // A first waypoint at the time of the observation repeats the known ego state.
         if i == 0 && to.t_us == start.t_us {
             continue;
         }
         if to.t_us <= before.t_us {
-            let found = format!("{} s at waypoint {i}", point.t);
+            let found = format!("{} s at waypoint {i}", seconds(start.t_us, to.t_us));
             return Err(ProtocolError::new("times that rise from over 0 s", found));
         }
         let speed_mps = before.position_m().distance(to.position_m()) / seconds(before.t_us, to.t_us);
@@ -92,15 +118,8 @@ fn placed(
     start: &Waypoint,
     index: usize,
 ) -> Result<Waypoint, ProtocolError> {
+    check_point(point, index)?;
     let PlannedPoint { t, x, y, heading, v } = *point;
-    let sound = (0.0..=MAX_TIME_S).contains(&t)
-        && [x, y, heading].iter().all(|n| n.is_finite())
-        && v.abs() <= MAX_SPEED_MPS;
-    if !sound {
-        let expected = format!("finite numbers, t from 0 to {MAX_TIME_S} s, v up to {MAX_SPEED_MPS} m/s");
-        let found = format!("t {t}, x {x}, y {y}, heading {heading}, v {v} at waypoint {index}");
-        return Err(ProtocolError::new(expected, found));
-    }
     let (place, heading_rad) = match frame {
         Frame::Global => (DVec2::new(x, y), heading),
         Frame::Ego => {
@@ -113,4 +132,17 @@ fn placed(
     let t_us = start.t_us.saturating_add((t * 1e6).round() as i64);
     let heading_rad = wrap_angle(heading_rad);
     Ok(Waypoint { t_us, x_m: place.x, y_m: place.y, heading_rad, speed_mps: v })
+}
+
+fn check_point(point: &PlannedPoint, index: usize) -> Result<(), ProtocolError> {
+    let PlannedPoint { t, x, y, heading, v } = *point;
+    let sound = (0.0..=MAX_TIME_S).contains(&t)
+        && [x, y, heading].iter().all(|n| n.is_finite())
+        && v.abs() <= MAX_SPEED_MPS;
+    if !sound {
+        let expected = format!("finite numbers, t from 0 to {MAX_TIME_S} s, v up to {MAX_SPEED_MPS} m/s");
+        let found = format!("t {t}, x {x}, y {y}, heading {heading}, v {v} at waypoint {index}");
+        return Err(ProtocolError::new(expected, found));
+    }
+    Ok(())
 }

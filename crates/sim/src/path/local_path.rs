@@ -36,7 +36,7 @@ pub enum LocalPathError {
 /// Maximum number of points: about half the Earth's circumference at a point per meter.
 const MAX_POINTS: usize = 20_000_000;
 /// Maximum file size, at an upper bound of bytes per point in text; checked before reading.
-const MAX_BYTES: u64 = 64 * MAX_POINTS as u64;
+pub(crate) const MAX_BYTES: u64 = 64 * MAX_POINTS as u64;
 /// Maximum coordinate, meters.
 const MAX_COORDINATE_M: f64 = 1e7;
 
@@ -70,12 +70,16 @@ impl LocalPath {
     /// # Errors
     /// Fails if the file cannot be read or has another format. Returns any error of [`LocalPath::new`].
     pub fn read(path: &Path) -> Result<Self, LocalPathError> {
-        let bytes = read_file(path, MAX_BYTES)?;
+        Self::parse(&read_file(path, MAX_BYTES)?, path)
+    }
+
+    /// Parses the content of a file as [`LocalPath::read`] does.
+    pub(crate) fn parse(bytes: &[u8], path: &Path) -> Result<Self, LocalPathError> {
         let extension = path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase());
         let points = match extension.as_deref() {
-            Some("json") => from_json(&bytes, path)?,
-            Some("npy") => from_npy(&bytes, path)?,
-            Some("csv" | "txt" | "tsv") => from_text(&bytes, path)?,
+            Some("json") => from_json(bytes, path)?,
+            Some("npy") => from_npy(bytes, path)?,
+            Some("csv" | "txt" | "tsv") => from_text(bytes, path)?,
             _ => {
                 let found = extension.unwrap_or_else(|| "none".to_owned());
                 return Err(FileError::content("an ending .json, .npy, .csv or .txt", found, path).into());

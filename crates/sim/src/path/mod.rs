@@ -5,3 +5,4 @@ pub(super) mod local_path;
 pub(super) mod pose_path;
 pub(super) mod route;
 pub(super) mod trajectory;
+pub(super) mod trajectory_file;

@@ -16,7 +16,7 @@ use pskel_eval::protocol::ClipClock;
 use pskel_sim::rollout::MCAP;
 use pskel_sim::rollout::Profile;
 use pskel_sim::{
-    ActorPolicy, EgoKind, EgoPolicy, LocalPath, PathAnchor, PlannerAddress, PlannerSpec, Scenario, SimOptions,
+    ActorPolicy, EgoKind, EgoPolicy, PathAnchor, PlannerAddress, PlannerSpec, Scenario, SimOptions,
 };
 
 use super::generation::{GeneratorArgs, GivenImages};
@@ -345,11 +345,11 @@ impl SimulateArgs {
         let p = &self.policies;
         let (every_frames, steps) = self.frames_of(scenario)?;
         let anchor = if p.reanchor { PathAnchor::EachPlan } else { PathAnchor::Takeover };
-        let path = p.trajectory.as_deref().map(LocalPath::read).transpose()?.map(|path| (path, anchor));
+        let file = p.trajectory.as_deref().map(|path| EgoPolicy::read(path, anchor)).transpose()?;
         let spec =
             |address: &PlannerAddress| PlannerSpec { address: address.clone(), timeout_s: p.planner_timeout };
         // The parser requires the arguments of these policies.
-        let ego = EgoPolicy::new(p.ego, path, p.planner.as_ref().map(spec)).unwrap_or(EgoPolicy::Replay);
+        let ego = EgoPolicy::new(p.ego, file, p.planner.as_ref().map(spec)).unwrap_or(EgoPolicy::Replay);
         Ok(SimOptions {
             seed: p.seed,
             steps,

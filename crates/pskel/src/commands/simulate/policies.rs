@@ -16,7 +16,8 @@ pub(super) struct PolicyArgs {
     #[arg(long, value_name = "POLICY", default_value_t = EgoKind::Replay)]
     #[arg(value_parser = names_of(EgoKind::OF_COMMAND))]
     pub(super) ego: EgoKind,
-    /// With --ego file: the path in the ego's frame, meters forward and to the left; JSON, CSV, TXT or NPY
+    /// With --ego file: the path in the ego's frame, meters forward and to the left; JSON, CSV, TXT or NPY.
+    /// Or waypoints with times in the global frame; JSON
     #[arg(long, value_name = "FILE", required_if_eq("ego", "file"))]
     pub(super) trajectory: Option<PathBuf>,
     /// With --ego file: place the path at the ego anew at each plan, instead of once at the takeover

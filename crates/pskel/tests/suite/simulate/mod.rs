@@ -374,6 +374,7 @@ fn trajectories_of_any_length_work_and_bad_ones_are_errors() {
         ("same.json", "[[1, 2], [1, 2], [1, 2]]", ["with a length", "found"]),
         ("words.json", "{\"points\": \"none\"}", ["expected", "found"]),
         ("empty.csv", "", ["2 to 20 million points", "found 0"]),
+        ("times.json", "{\"waypoints\": []}", ["1 to 1000000 waypoints", "found 0"]),
         ("path.xml", "<path/>", [".json, .npy, .csv", "path.xml"]),
     ] {
         std::fs::write(log.path(name), content).unwrap();
