@@ -28,10 +28,11 @@ export function fixed(value, digits) {
 /**
  * Draws `values` (null where unknown) over `times` (seconds, increasing) into an empty SVG of its present
  * size, with gaps where a value is unknown. `zero` includes 0 in the range, `zeroLine` emphasizes it, and
- * `least` is the smallest range of values shown. Times up to `warmUntil` are shaded; null shades none.
+ * `least` and `leastSpan` are the smallest ranges of values and times shown. Times up to `warmUntil` are
+ * shaded; null shades none.
  * Returns the cursor line, the number of known values, and functions that place the cursor and find a time.
  */
-export function plotCurve(svg, { times, values, zero = true, zeroLine = false, least = 1e-3, warmUntil = null, digits = 2, value = null }) {
+export function plotCurve(svg, { times, values, zero = true, zeroLine = false, least = 1e-3, leastSpan = 1e-6, warmUntil = null, digits = 2, value = null }) {
   const known = values.filter((value) => value !== null);
   const [w, h, left, right, top, bottom] = [Math.max(200, svg.clientWidth), svg.clientHeight || 130, 44, 14, 8, 18];
   svg.setAttribute("viewBox", `0 0 ${w} ${h}`);
@@ -39,7 +40,7 @@ export function plotCurve(svg, { times, values, zero = true, zeroLine = false, l
   let [low, high] = [Math.min(...known, ...base), Math.max(...known, ...base)];
   if (high - low < least) [low, high] = least > 1e-3 ? [Math.min(low, (low + high - least) / 2), Math.max(high, (low + high + least) / 2)] : [low - 0.5, high + 0.5];
   const t0 = times.length ? times[0] : 0;
-  const t1 = Math.max(times.length ? times[times.length - 1] : 1, t0 + 1e-6);
+  const t1 = Math.max(times.length ? times[times.length - 1] : 1, t0 + leastSpan);
   const x = (t) => left + (w - left - right) * (t - t0) / (t1 - t0);
   const y = (v) => top + (h - top - bottom) * (high - v) / (high - low);
   const warmEnd = warmUntil === null ? left : x(Math.max(t0, Math.min(t1, warmUntil)));
