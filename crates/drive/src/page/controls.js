@@ -56,7 +56,6 @@ function pose() {
     held = {};
     send("look", { forward_m: 0, left_m: 0, yaw_deg: 0, camera: { up_m: 0, pitch_deg: 0 } });
   }));
-  const hint = panel.appendChild(make("p", { class: "facts hint", hidden: "" }, "In a simulation the driver moves the ego. Choose Log below to move it."));
   on("frame", ({ header }) => {
     for (const [name, slider] of sliders) {
       const value = header.offset?.[name];
@@ -65,7 +64,7 @@ function pose() {
       slider.disable(simulating());
     }
     recorded.disabled = simulating();
-    hint.hidden = !simulating();
+    panel.title = simulating() ? "In a simulation the driver moves the ego; choose Log beside the time line to move it" : "";
   });
 }
 
@@ -123,12 +122,12 @@ function drawing() {
   list.append(...SPLATS.map((value) => make("option", { value })));
   panel.append(list);
   const fields = {
-    size: field(panel, "Size (height x width)", select(SIZES.map((size) => [size, size])), ({ value }) => view({ size: value.split("x").map(Number) })),
-    splat: field(panel, "Splat (depth m : radius px)", text({ list: "splats" }), ({ value }) => view({ splat: value })),
+    size: field(panel, "Size", select(SIZES.map((size) => [size, size])), ({ value }) => view({ size: value.split("x").map(Number) })),
+    splat: field(panel, "Splat (m:px)", text({ list: "splats", title: "Radius of a point in pixels, by depth in meters" }), ({ value }) => view({ splat: value })),
     radius_m: field(panel, "Radius (m)", make("input", { type: "number", min: 5, max: 300, step: 5 }), (node) => number("radius_m", node)),
     color_filter: field(panel, "Color filter", select(["bilinear", "valid-area", "visible-area"].map((name) => [name, name])), ({ value }) => view({ color_filter: value })),
     occlusion: field(panel, "Actors hidden by", select([["scene", "the whole scene"], ["actors", "other actors"]]), ({ value }) => view({ occlusion: value })),
-    min_actor_points: field(panel, "Own points if more than", make("input", { type: "number", min: 0, step: 50 }), (node) => number("min_actor_points", node)),
+    min_actor_points: field(panel, "Own points above", make("input", { type: "number", min: 0, step: 50, title: "Actors with at most this many points use their template" }), (node) => number("min_actor_points", node)),
     template_fit: field(panel, "Fit of templates", select([["box", "scaled to the box"], ["none", "own size"]]), ({ value }) => view({ template_fit: value })),
     default_templates: field(panel, "Default templates", make("input", { type: "checkbox" }), ({ checked }) => view({ default_templates: checked })),
     augment: field(panel, "Augmentation", text({ placeholder: "none; or 0,share=0.8", title: "As --augment: seed, share=S, color_only. Empty: none" }), ({ value }) => view({ augment: value.trim() || null })),

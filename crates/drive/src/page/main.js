@@ -11,9 +11,20 @@ import { startTraces } from "./traces.js";
 import { startView } from "./view.js";
 
 const random = /^#random=(\d+)(?:&seed=(\d+))?$/.exec(location.hash);
-const test = location.hash === "#selftest" || random ? await import("./selftest.js") : null;
+const testing = location.hash === "#selftest" || random;
+const finished = testing ? holdLoading() : null;
+const test = testing ? await import("./selftest.js") : null;
 test?.watchErrors();
 for (const start of [startStatus, startView, startBirdseye, startControls, startTimeline, startTraces, startInspector, startKeys]) start();
 connect();
-if (random) test.run(() => test.randomTest(Number(random[1]), Number(random[2] ?? 1)));
-else test?.run(test.selfTest);
+if (random) test.run(() => test.randomTest(Number(random[1]), Number(random[2] ?? 1))).then(finished);
+else test?.run(test.selfTest).then(finished);
+
+// The page counts as loading until the function returned is called, so that `chromium --dump-dom` waits for a test.
+function holdLoading() {
+  const frame = document.createElement("iframe");
+  frame.hidden = true;
+  document.body.append(frame);
+  frame.contentDocument.open();
+  return () => frame.contentDocument.close();
+}

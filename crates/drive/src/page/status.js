@@ -79,8 +79,9 @@ function showState(header) {
   const look = !simulating();
   setText(byId("mode"), look ? "log" : header.ended ? "simulation ended" : header.playing ? "simulation" : "simulation paused");
   const driver = byId("driver");
-  driver.hidden = look && state.youDrive;
-  setText(driver, look ? "another client drives" : state.youDrive || header.by === "person" ? driverText(header.by) : `${driverText(header.by)}, watched`);
+  driver.hidden = false;
+  const who = driverText(look ? "log" : header.by);
+  setText(driver, state.youDrive || (!look && header.by === "person") ? who : `${who}, another client has the wheel`);
   driver.classList.toggle("person", !look && header.by === "person");
   byId("take").hidden = state.youDrive;
   const speed = header.ego?.speed_mps;

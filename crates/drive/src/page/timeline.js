@@ -88,7 +88,7 @@ function show(header) {
   slider.setAttribute("aria-valuetext", `${fixed(header.t_s ?? 0, 2)} s`);
   const total = (frames()[frames().length - 1] - first()) / 1e6;
   const where = simulation ? `step ${header.step ?? 0}` : `frame ${frameIndex() + 1} of ${frames().length}`;
-  setText(byId("now"), `${where}, ${fixed(header.t_s ?? 0, 2)} of ${fixed(total, 2)} s`);
+  setText(byId("now"), `${where}, ${fixed(header.t_s ?? 0, 2)}${simulation ? "" : ` of ${fixed(total, 2)}`} s`);
   // A reset begins anew, and so does another simulation.
   const restarted = simulation ? lastStep === null || header.step < lastStep : lastStep !== null;
   lastStep = simulation ? header.step : null;

@@ -76,15 +76,15 @@ function cell({ name }, maps) {
   const marker = make("span", { class: "marker", hidden: "" });
   const handle = make("span", { class: "handle", role: "slider", tabindex: 0, "aria-label": "Border between the two pictures", "aria-valuemin": 0, "aria-valuemax": 100 });
   const map = select(maps.map((map) => [map, map]), { "aria-label": `Map of camera ${shortName(name)}` });
-  const [from, second, psnr] = [make("span", { class: "origin" }), make("span", { class: "origin" }), make("span", { class: "numbers" })];
+  const [from, second, psnr] = [make("span", { class: "origin" }), make("span", { class: "origin" }), make("span", { class: "psnr numbers" })];
   const scale = make("span", { class: "scale numbers", hidden: "" });
   const [near, far] = [make("span", {}, "0 m"), make("span")];
   scale.append(near, make("i"), far);
   const png = make("a", { target: "_blank", rel: "noopener", title: "This map at the size of the recorded camera, as PNG" }, "PNG");
   const enlarge = button("\u2922", () => setCamera(layout.camera === name ? null : name), { "aria-label": `Enlarge camera ${shortName(name)}`, "aria-pressed": false, class: "enlarge" });
   const caption = make("figcaption");
-  caption.append(make("b", {}, shortName(name)), map, from, second, psnr, png, enlarge);
-  node.append(...pictures, marker, handle, scale, caption);
+  caption.append(make("b", {}, shortName(name)), map, from, second, png, enlarge);
+  node.append(...pictures, marker, handle, scale, psnr, caption);
   map.addEventListener("change", () => { setMap(map.value, name); map.blur(); });
   pictures.forEach((canvas, i) => {
     canvas.addEventListener("click", (event) => pick(name, i, event));
@@ -176,10 +176,15 @@ function arrange() {
   grid.dataset.layer = layout.layer;
   grid.style.setProperty("--blend", layout.blend);
   grid.style.setProperty("--swipe", `${100 * layout.swipe}%`);
-  grid.style.setProperty("--columns", layout.camera !== null ? 1 : cells.size > 6 ? 4 : 3);
+  const columns = layout.camera !== null ? 1 : cells.size > 6 ? 4 : 3;
+  grid.style.setProperty("--columns", columns);
+  const large = layout.camera !== null || layout.layer === "beside";
+  grid.style.flexBasis = large ? "200vh" : `${wantedHeight(columns)}px`;
+  grid.style.setProperty("--aspect", String(aspect()));
   grid.classList.toggle("single", layout.camera !== null);
+  for (const [name, cell] of cells) cell.node.hidden = layout.camera !== null && layout.camera !== name;
+  grid.classList.toggle("stacked", layout.layer === "beside" && stacks());
   for (const [name, cell] of cells) {
-    cell.node.hidden = layout.camera !== null && layout.camera !== name;
     cell.enlarge.setAttribute("aria-pressed", layout.camera === name);
     cell.handle.setAttribute("aria-valuenow", Math.round(100 * layout.swipe));
     place(cell);
@@ -203,6 +208,31 @@ function draw({ header, images }) {
     cell.psnr.title = "PSNR of the color map against the recorded image";
     if (cell.mark && header.t_us !== cell.mark.t_us) { cell.mark = null; place(cell); }
   }
+}
+
+/** Height of the caption above an image, pixels. */
+const CAPTION_PX = 22;
+const GAP_PX = 4;
+
+/** Width of the images by their height. */
+function aspect() {
+  const [height, width] = state.view.size ?? [9, 16];
+  return width / height;
+}
+
+// Whether two images in a cell are larger one above the other than side by side.
+function stacks() {
+  const cell = [...cells.values()].find(({ node }) => !node.hidden)?.node;
+  if (!cell) return false;
+  const [width, height] = [cell.clientWidth, cell.clientHeight - CAPTION_PX];
+  return Math.min(width, height / 2 * aspect()) > Math.min(width / 2, height * aspect());
+}
+
+// Height at which the images fill the width; the plots take what remains.
+function wantedHeight(columns) {
+  const width = (byId("grid").clientWidth - GAP_PX * (columns - 1)) / columns;
+  const rows = Math.ceil(cells.size / columns);
+  return Math.ceil(rows * (width / aspect() + CAPTION_PX) + GAP_PX * (rows - 1));
 }
 
 // The place of an image in its element, in pixels of the window: at the bottom, centered in width.
