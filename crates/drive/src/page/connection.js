@@ -138,10 +138,12 @@ async function decode() {
   decoding = true;
   while (waiting) {
     const { header, images } = waiting;
+    const start = performance.now();
     waiting = null;
     const bitmaps = await Promise.all(images.map(({ blob }) => createImageBitmap(blob).catch(() => null)));
     state.frame = header;
     emit("frame", { header, images: images.map((image, i) => ({ ...image, bitmap: bitmaps[i] })) });
+    emit("drawn", { ms: performance.now() - start });
     for (const bitmap of bitmaps) bitmap?.close();
     if (document.hidden) await visible();
     acknowledge(header);

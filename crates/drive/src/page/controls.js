@@ -2,7 +2,7 @@
 
 import { make } from "./plots.js";
 import { send, sendSoon } from "./connection.js";
-import { on, simulating, state } from "./store.js";
+import { emit, on, simulating, state } from "./store.js";
 import { button, byId, choice, field, select, setField, setText, slider } from "./widgets.js";
 
 const TABS = [["pose", "Pose"], ["simulation", "Drive"], ["drawing", "Drawing"], ["inspector", "Picked"]];
@@ -89,7 +89,7 @@ function simulation() {
     setField(hz, hello.rates?.sim_hz ?? 10);
     group = choice(byId("drivers"), (hello.drivers ?? []).map((name) => [name, name.replaceAll("_", " "), name === "log" ? "key L" : name === "person" ? "a key of driving takes the wheel" : "policy"]), (by) => {
       if (!simulating()) simulate();
-      send("control", { by });
+      handOver(by);
     });
   });
   on("frame", ({ header }) => {
@@ -103,6 +103,12 @@ function simulation() {
     if (message.command) saved.append(make("code", {}, message.command));
     openTab("simulation");
   });
+}
+
+/** Hands the wheel to the log, a person or a policy. */
+export function handOver(by) {
+  emit("handover");
+  send("control", { by });
 }
 
 /** Begins a simulation at the time shown, with the options of the panel. */

@@ -1,7 +1,7 @@
 // Keyboard and gamepad: sent at once when they change, and 20 times a second while they are held.
 
 import { send } from "./connection.js";
-import { simulate } from "./controls.js";
+import { handOver, simulate } from "./controls.js";
 import { on, simulating, state } from "./store.js";
 import { notice } from "./status.js";
 import { back, reset, step, togglePlay } from "./timeline.js";
@@ -20,6 +20,7 @@ let number = 0; // of the newest message
 let timer = null;
 let last = "";
 let pads = 0;
+let starting = false; // a key began a simulation that no frame shows yet
 
 /** Number of the newest message of controls; the header of a frame names the one that it shows. */
 export const keysNumber = () => number;
@@ -31,7 +32,16 @@ export function startKeys() {
   document.addEventListener("visibilitychange", () => { if (document.hidden) release(); });
   window.addEventListener("gamepadconnected", () => { pads++; byId("gamepad").hidden = false; tick(); });
   window.addEventListener("gamepaddisconnected", () => { pads = Math.max(0, pads - 1); byId("gamepad").hidden = pads === 0; });
-  on("hello", () => { last = ""; });
+  on("hello", () => {
+    last = "";
+    starting = false;
+  });
+  // Keys that are still held do not take the wheel back, nor the simulation.
+  on("handover", () => held.clear());
+  on("frame", ({ header }) => {
+    if (header.mode === "simulate") starting = false;
+    else if (!starting) held.clear();
+  });
 }
 
 // Fields with their own keys keep them.
@@ -64,6 +74,7 @@ function down(event) {
     if (!simulating()) {
       if (DRIVE.get(event.code) !== "up") return;
       simulate();
+      starting = true;
     }
     held.add(event.code);
     sendNow();
@@ -72,7 +83,7 @@ function down(event) {
   const map = state.hello?.maps?.[Number(event.key) - 1];
   const actions = {
     " ": togglePlay, p: togglePlay, ",": back, ".": step, r: () => { if (simulating()) reset(); }, b: nextLayer,
-    l: () => { if (simulating()) send("control", { by: "log" }); },
+    l: () => { if (simulating()) handOver("log"); },
     e: () => setCamera(layout.camera === null ? enlarged() : null),
   };
   const action = map ? () => setMap(map) : actions[event.key.toLowerCase()];
@@ -115,6 +126,7 @@ function controls() {
 }
 
 function sendNow() {
+  if (!simulating() && !starting) return;
   const now = controls();
   last = JSON.stringify(now);
   send("keys", { ...now, number: ++number });

@@ -143,6 +143,8 @@ export async function selfTest() {
   await until(() => state.frame.birdseye, "the bird's-eye view");
   labelled();
   fits();
+  document.querySelector("#pose button").click();
+  await until(() => Object.values(state.frame.offset).every((value) => Math.abs(value) < 0.01), "the recorded pose");
 
   // Maps by buttons, in all cameras; then in one.
   const shows = (camera, map) => canvasOf(camera).dataset.map === map && canvasOf(camera).width > 1;

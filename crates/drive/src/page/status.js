@@ -8,6 +8,7 @@ import { byId, setText } from "./widgets.js";
 const cover = { lost: null, progress: null, refused: null };
 const shown = []; // times of the frames of the last second, ms
 let dropped = 0;
+let pageMs = null; // time to decode and to draw a frame here, smoothed
 let noticeTimer = null;
 
 export function startStatus() {
@@ -42,6 +43,7 @@ export function startStatus() {
     showState(header);
     showStats(header);
   });
+  on("drawn", ({ ms }) => { pageMs = pageMs === null ? ms : 0.9 * pageMs + 0.1 * ms; });
   on("who", () => { if (state.frame) showState(state.frame); });
   on("counts", (counts) => { dropped = counts.dropped ?? 0; });
   on("notice", ({ text, level }) => notice(text, level));
@@ -61,6 +63,9 @@ export function notice(text, level = "info") {
 }
 
 function showCover() {
+  // Without a connection nothing can be set.
+  document.body.classList.toggle("offline", !state.connected);
+  for (const node of document.querySelectorAll(".tools, aside, #timeline")) node.inert = !state.connected;
   const { lost, progress, refused } = cover;
   let text = "";
   if (refused) text = refused;
@@ -96,7 +101,7 @@ function showState(header) {
 
 function showStats({ times_ms: times = {} }) {
   const ms = (value) => (typeof value === "number" ? `${fixed(value, 0)} ms` : "?");
-  setText(byId("stats"), `${shown.length} fps, draw ${ms(times.draw)}, encode ${ms(times.encode)}, left out ${dropped}, ${state.clients === 1 ? "1 client" : `${state.clients} clients`}`);
+  setText(byId("stats"), `${shown.length} fps, draw ${ms(times.draw)}, encode ${ms(times.encode)}, page ${ms(pageMs)}, left out ${dropped}, ${state.clients === 1 ? "1 client" : `${state.clients} clients`}`);
 }
 
 async function copyCommand() {

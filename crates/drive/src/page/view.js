@@ -54,6 +54,7 @@ export function startView() {
   on("view", () => { labels(); arrange(); });
   on("frame", draw);
   on("picked", mark);
+  labels();
   window.addEventListener("resize", arrange);
   arrange();
 }
@@ -178,7 +179,7 @@ function arrange() {
   grid.style.setProperty("--swipe", `${100 * layout.swipe}%`);
   const columns = layout.camera !== null ? 1 : cells.size > 6 ? 4 : 3;
   grid.style.setProperty("--columns", columns);
-  const large = layout.camera !== null || layout.layer === "beside";
+  const large = !cells.size || layout.camera !== null || layout.layer === "beside";
   grid.style.flexBasis = large ? "200vh" : `${wantedHeight(columns)}px`;
   grid.style.setProperty("--aspect", String(aspect()));
   grid.classList.toggle("single", layout.camera !== null);
