@@ -46,7 +46,7 @@ function paint(bitmap) {
   canvas.getContext("2d").drawImage(bitmap, 0, 0);
 }
 
-const reach = (header) => header?.birdseye?.reach_m ?? state.view.birdseye?.reach_m ?? REACH_M;
+const reach = (header) => header?.birdseye?.reach_m ?? header?.reach_m ?? state.view.birdseye?.reach_m ?? REACH_M;
 
 // Coordinates of the SVG are meters: x to the right, y down.
 function actors(header) {

@@ -59,6 +59,9 @@ export function cut() {
 /** Sends a message now. Returns whether there is a connection. */
 export function send(type, fields = {}) {
   if (socket?.readyState !== WebSocket.OPEN) return false;
+  emit("sending", type);
+  // A move of the ego that still waits would end the simulation.
+  if (type === "simulate") pending.delete("look");
   socket.send(JSON.stringify({ type, ...fields }));
   return true;
 }

@@ -86,7 +86,7 @@ function simulation() {
   const saved = panel.appendChild(make("p", { class: "hint", id: "saved", role: "status" }));
   let group = null;
   on("hello", (hello) => {
-    setField(hz, hello.rates?.sim_hz ?? 10);
+    setField(hz, hello.rates?.sim_hz ?? hello.rates?.[0] ?? 10);
     group = choice(byId("drivers"), (hello.drivers ?? []).map((name) => [name, name.replaceAll("_", " "), name === "log" ? "key L" : name === "person" ? "a key of driving takes the wheel" : "policy"]), (by) => {
       if (!simulating()) simulate();
       handOver(by);

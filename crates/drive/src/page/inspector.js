@@ -6,6 +6,8 @@ import { openTab } from "./controls.js";
 import { emit, on, state } from "./store.js";
 import { button, byId } from "./widgets.js";
 
+const CLASSES = ["none", "vehicle", "pedestrian", "cycle", "object"];
+
 export function startInspector() {
   const panel = byId("inspector");
   const body = panel.appendChild(make("div", { id: "picked", "aria-live": "polite" }));
@@ -47,7 +49,7 @@ function pixelTable({ camera, x, y, depth_m, class: name, point, rgb }) {
   const list = table([
     ["Pixel", `${camera} ${x}, ${y}`],
     ["Depth", number(depth_m, 2, "m") ?? "empty"],
-    ["Class", name],
+    ["Class", CLASSES[name] ?? name],
     ["Point", Array.isArray(point) ? `${point.map((value) => fixed(Number(value), 2)).join("  ")} m` : null],
     ["Color", Array.isArray(rgb) ? rgb.join(" ") : null],
   ]);
@@ -60,7 +62,7 @@ function pixelTable({ camera, x, y, depth_m, class: name, point, rgb }) {
 }
 
 function actorTable(track, actor) {
-  const known = (state.hello?.actors ?? []).find((entry) => entry.track === track);
+  const known = (state.hello?.actors ?? state.hello?.tracks ?? []).find((entry) => entry.track === track);
   const shown = (state.frame?.actors ?? []).find((entry) => entry.track === track);
   const seconds = (t_us) => fixed((t_us - (state.hello?.frames_us?.[0] ?? 0)) / 1e6, 1);
   const size = actor?.size_m ?? (shown ? [shown.length, shown.width] : null);
@@ -68,7 +70,7 @@ function actorTable(track, actor) {
     ["Actor", actor?.category ?? known?.category],
     ["Track", track.length > 16 ? `\u2026${track.slice(-12)}` : track],
     ["Points", actor?.points ?? known?.points],
-    ["Template", actor?.template],
+    ["Template", typeof actor?.template === "boolean" ? (actor.template ? "yes" : "no") : actor?.template],
     ["Size", Array.isArray(size) ? `${size.map((value) => fixed(Number(value), 1)).join(" x ")} m` : null],
     ["Speed", number(actor?.speed_mps, 1, "m/s")],
     ["In the log", known ? `${seconds(known.first_us)} to ${seconds(known.last_us)} s` : null],

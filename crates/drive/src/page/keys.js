@@ -21,6 +21,7 @@ let timer = null;
 let last = "";
 let pads = 0;
 let starting = false; // a key began a simulation that no frame shows yet
+let leaving = false; // the log was asked for, and no frame shows it yet
 
 /** Number of the newest message of controls; the header of a frame names the one that it shows. */
 export const keysNumber = () => number;
@@ -35,12 +36,23 @@ export function startKeys() {
   on("hello", () => {
     last = "";
     starting = false;
+    leaving = false;
   });
   // Keys that are still held do not take the wheel back, nor the simulation.
   on("handover", () => held.clear());
   on("frame", ({ header }) => {
     if (header.mode === "simulate") starting = false;
-    else if (!starting) held.clear();
+    else {
+      leaving = false;
+      if (!starting) held.clear();
+    }
+  });
+  on("sending", (type) => {
+    if (type === "look") {
+      held.clear();
+      starting = false;
+      leaving = true;
+    } else if (type === "simulate") leaving = false;
   });
 }
 
@@ -126,7 +138,7 @@ function controls() {
 }
 
 function sendNow() {
-  if (!simulating() && !starting) return;
+  if (leaving || (!simulating() && !starting)) return;
   const now = controls();
   last = JSON.stringify(now);
   send("keys", { ...now, number: ++number });

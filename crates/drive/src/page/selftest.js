@@ -140,11 +140,14 @@ export async function selfTest() {
   expect(document.querySelectorAll(".cell").length === cameras.length, "a cell per camera");
   if (!state.youDrive) { byId("take").click(); await until(() => state.youDrive, "this page drives"); }
   if (simulating()) { choose("modes", "look"); await until(() => !simulating(), "looking at the log"); }
-  await until(() => state.frame.birdseye, "the bird's-eye view");
+  await until(() => (state.frame.images ?? []).some(({ map }) => map === "birdseye"), "the bird's-eye view");
   labelled();
   fits();
   document.querySelector("#pose button").click();
   await until(() => Object.values(state.frame.offset).every((value) => Math.abs(value) < 0.01), "the recorded pose");
+
+  choose("speeds", 1);
+  await until(() => state.frame.speed === 1, "real time");
 
   // Maps by buttons, in all cameras; then in one.
   const shows = (camera, map) => canvasOf(camera).dataset.map === map && canvasOf(camera).width > 1;
@@ -264,6 +267,7 @@ export async function selfTest() {
   // Driving.
   choose("modes", "simulate");
   await until(() => simulating() && state.frame.playing, "a simulation runs");
+  if (state.frame.speed !== 1) choose("speeds", 1);
   await until(() => state.frame.step >= 3, "steps of the log");
   const v0 = state.frame.ego.speed_mps;
   key("KeyW");

@@ -17,8 +17,8 @@ let layerChoice = null;
 
 /** The names of the maps drawn for a camera. */
 export function mapsOf(camera) {
-  const maps = state.view.maps ?? [];
-  return Array.isArray(maps) ? maps : maps[camera] ?? [];
+  const { maps = [], cameras = {} } = state.view;
+  return cameras[camera] ?? (Array.isArray(maps) ? maps : maps[camera] ?? []);
 }
 
 /** The map of a camera that is shown first. */
@@ -203,8 +203,9 @@ function draw({ header, images }) {
     canvas.getContext("2d").drawImage(bitmap, 0, 0);
     canvas.dataset.map = map;
   }
+  const all = Array.isArray(header.psnr_db) ? Object.fromEntries(header.psnr_db) : header.psnr_db;
   for (const [name, cell] of cells) {
-    const psnr = header.psnr_db?.[name];
+    const psnr = all?.[name];
     setText(cell.psnr, typeof psnr === "number" && mapOf(name) === "color" ? `${fixed(psnr, 1)} dB` : "");
     cell.psnr.title = "PSNR of the color map against the recorded image";
     if (cell.mark && header.t_us !== cell.mark.t_us) { cell.mark = null; place(cell); }
