@@ -41,6 +41,7 @@ export function connect() {
     if (own !== socket) return;
     socket = null;
     state.connected = false;
+    state.youDrive = false;
     waiting = null;
     pending.clear();
     if (refused) return;
@@ -95,7 +96,7 @@ function receive(text) {
       state.connected = true;
       state.hello = message;
       state.view = message.view ?? {};
-      state.youDrive = Boolean(message.you_drive);
+      if ("you_drive" in message) state.youDrive = Boolean(message.you_drive);
       emit("hello", message);
       emit("view", state.view);
       emit("who");

@@ -106,6 +106,8 @@ function showStats({ times_ms: times = {} }) {
 
 async function copyCommand() {
   const text = byId("command").textContent;
+  // The command of a drive reads its trajectory from a file.
+  if (simulating() && state.youDrive && state.frame.takeover !== null) send("trajectory");
   let copied = true;
   try {
     await navigator.clipboard.writeText(text);
