@@ -131,7 +131,7 @@ function drawing() {
     size: field(panel, "Size", select(SIZES.map((size) => [size, size])), ({ value }) => view({ size: value.split("x").map(Number) })),
     splat: field(panel, "Splat (m:px)", text({ list: "splats", title: "Radius of a point in pixels, by depth in meters" }), ({ value }) => view({ splat: value })),
     radius_m: field(panel, "Radius (m)", make("input", { type: "number", min: 5, max: 300, step: 5 }), (node) => number("radius_m", node)),
-    reduce: field(panel, "Reduced from full size", make("input", { type: "checkbox", title: "Renders at the size of the cameras and reduces, as for training; slower. The color filter is for this" }), ({ checked }) => view({ reduce: checked })),
+    reduce: field(panel, "Reduced", make("input", { type: "checkbox", title: "Renders at the size of the cameras and reduces, as for training; slower. The color filter is for this" }), ({ checked }) => view({ reduce: checked })),
     color_filter: field(panel, "Color filter", select(["bilinear", "valid-area", "visible-area"].map((name) => [name, name])), ({ value }) => view({ color_filter: value })),
     occlusion: field(panel, "Actors hidden by", select([["scene", "the whole scene"], ["actors", "other actors"]]), ({ value }) => view({ occlusion: value })),
     min_actor_points: field(panel, "Own points above", make("input", { type: "number", min: 0, step: 50, title: "Actors with at most this many points use their template" }), (node) => number("min_actor_points", node)),
