@@ -27,6 +27,7 @@ pub const STEPS: &str = "steps";
 /// File name of the bird's-eye view in the folder of a step.
 pub const BIRDSEYE: &str = "birdseye.png";
 
+pub use page::{BASE_CSS, PLOTS_JS};
 pub use row::{ActorRow, EgoRow, LightRow, Phase, StateFile, StepObservations, StepRow};
 #[cfg(feature = "video")]
 pub use video::{MAX_SIDE_PX, Video, VideoError};

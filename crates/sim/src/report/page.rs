@@ -1,7 +1,8 @@
 //! `index.html`: the web page that plays a rollout.
 //!
 //! # How it works
-//! `page.html` is the template; the data are inserted as JSON. The page loads nothing from other sites. It
+//! `page/page.html` is the template; styles, plots and the data as JSON are inserted, so that the page is one
+//! file. The live page shares [`BASE_CSS`] and [`PLOTS_JS`]. The page loads nothing from other sites. It
 //! refers to the images in the folders of the steps beside it, so it works from a folder as well as from a
 //! server.
 
@@ -14,9 +15,20 @@ use serde_json::Value;
 
 use super::view::Layout;
 
-const TEMPLATE: &str = include_str!("page.html");
-/// Placeholder of the data in the template.
+const TEMPLATE: &str = include_str!("page/page.html");
+/// Styles that all pages share: colors, cards, buttons, chips, plots.
+pub const BASE_CSS: &str = include_str!("page/base.css");
+/// ES module that draws plots, shared by all pages.
+pub const PLOTS_JS: &str = include_str!("page/plots.js");
+/// Placeholders in the template: of the shared styles, of the module of plots, and of the data.
+const BASE_MARK: &str = "/*BASE*/\n";
+const PLOTS_MARK: &str = "/*PLOTS*/\n";
 const MARK: &str = "/*ROLLOUT*/";
+
+/// Template with styles and plots, without data.
+fn template() -> String {
+    TEMPLATE.replacen(BASE_MARK, BASE_CSS, 1).replacen(PLOTS_MARK, PLOTS_JS, 1)
+}
 
 /// Data of the page.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -96,7 +108,7 @@ impl Page {
     pub fn html(&self) -> serde_json::Result<String> {
         // Escapes `<`, so that no text (such as a track id) can end the script element.
         let data = serde_json::to_string(self)?.replace('<', "\\u003c");
-        Ok(TEMPLATE.replacen(MARK, &data, 1))
+        Ok(template().replacen(MARK, &data, 1))
     }
 
     /// Writes the page to a file.
@@ -232,10 +244,13 @@ mod tests {
         assert_eq!(data, serde_json::to_value(page()).unwrap());
         // The data add no tags to the template.
         let tags = |text: &str| text.matches('<').count();
-        assert_eq!(tags(&html), tags(TEMPLATE));
-        assert_eq!(TEMPLATE.matches(MARK).count(), 1);
+        let template = template();
+        assert_eq!(tags(&html), tags(&template));
+        assert_eq!(template.matches(MARK).count(), 1);
+        assert!(!template.contains(BASE_MARK) && !template.contains(PLOTS_MARK));
+        assert!(!BASE_CSS.contains("</") && !PLOTS_JS.contains("</"), "would end its element");
         assert!(
-            !TEMPLATE.replace("http://www.w3.org/2000/svg", "").contains("http"),
+            !template.replace("http://www.w3.org/2000/svg", "").contains("http"),
             "nothing from elsewhere"
         );
     }

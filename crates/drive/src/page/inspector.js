@@ -1,0 +1,84 @@
+// What is known of a picked pixel or actor; actors can be hidden.
+
+import { fixed, make } from "./plots.js";
+import { send } from "./connection.js";
+import { openTab } from "./controls.js";
+import { emit, on, state } from "./store.js";
+import { button, byId } from "./widgets.js";
+
+const CLASSES = ["none", "vehicle", "pedestrian", "cycle", "object"];
+
+export function startInspector() {
+  const panel = byId("inspector");
+  const body = panel.appendChild(make("div", { id: "picked", "aria-live": "polite" }));
+  body.append(make("p", { class: "facts" }, "Click a pixel of a camera, or an actor in the bird's-eye view."));
+  let picked = null; // keeps the pixel's values while its own actor is selected
+  const show = () => {
+    body.replaceChildren();
+    if (picked?.camera) body.append(pixelTable(picked));
+    if (picked?.track) body.append(actorTable(picked.track, picked.actor), hideButton(picked.track));
+    openTab("inspector");
+  };
+  on("picked", (message) => {
+    picked = message;
+    show();
+    emit("select", message.track ?? null);
+  });
+  on("select", (track) => {
+    if (track === (picked?.track ?? null)) return;
+    picked = { track };
+    show();
+  });
+  on("view", () => { if (picked?.track) show(); });
+}
+
+function table(rows) {
+  const list = make("dl", { class: "table numbers" });
+  for (const [name, value] of rows) {
+    if (value === null || value === undefined || value === "") continue;
+    const row = make("div");
+    row.append(make("dt", {}, name), make("dd", {}, String(value)));
+    list.append(row);
+  }
+  return list;
+}
+
+const number = (value, digits, unit) => (typeof value === "number" ? `${fixed(value, digits)} ${unit}` : null);
+
+function pixelTable({ camera, x, y, depth_m, class: name, point, rgb }) {
+  const list = table([
+    ["Pixel", `${camera} ${x}, ${y}`],
+    ["Depth", number(depth_m, 2, "m") ?? "empty"],
+    ["Class", CLASSES[name] ?? name],
+    ["Point", Array.isArray(point) ? `${point.map((value) => fixed(Number(value), 2)).join("  ")} m` : null],
+    ["Color", Array.isArray(rgb) ? rgb.join(" ") : null],
+  ]);
+  if (Array.isArray(rgb)) {
+    const swatch = make("i", { class: "color" });
+    swatch.style.background = `rgb(${rgb.map(Number).join(" ")})`;
+    list.lastElementChild.lastElementChild.append(" ", swatch);
+  }
+  return list;
+}
+
+function actorTable(track, actor) {
+  const known = (state.hello?.actors ?? state.hello?.tracks ?? []).find((entry) => entry.track === track);
+  const shown = (state.frame?.actors ?? []).find((entry) => entry.track === track);
+  const seconds = (t_us) => fixed((t_us - (state.hello?.frames_us?.[0] ?? 0)) / 1e6, 1);
+  const size = actor?.size_m ?? (shown ? [shown.length, shown.width] : null);
+  return table([
+    ["Actor", actor?.category ?? known?.category],
+    ["Track", track.length > 16 ? `\u2026${track.slice(-12)}` : track],
+    ["Points", actor?.points ?? known?.points],
+    ["Template", typeof actor?.template === "boolean" ? (actor.template ? "yes" : "no") : actor?.template],
+    ["Size", Array.isArray(size) ? `${size.map((value) => fixed(Number(value), 1)).join(" x ")} m` : null],
+    ["Speed", number(actor?.speed_mps, 1, "m/s")],
+    ["In the log", known ? `${seconds(known.first_us)} to ${seconds(known.last_us)} s` : null],
+  ]);
+}
+
+function hideButton(track) {
+  const hidden = state.view.hide ?? [];
+  const is = hidden.includes(track);
+  return button(is ? "Show this actor" : "Hide this actor", () => send("view", { hide: is ? hidden.filter((other) => other !== track) : [...hidden, track] }), { id: "hide" });
+}
