@@ -300,16 +300,30 @@ impl Scene {
         self.inner.actors.iter().map(|actor| Actor { inner: actor.clone() }).collect()
     }
 
-    /// Returns the scene with ego and cameras displaced in the ego frame: meters, degrees to the left. Raises
-    /// `ValueError` for numbers that are not finite.
-    #[pyo3(signature = (*, forward_m=0.0, left_m=0.0, yaw_deg=0.0))]
-    fn move_ego(&self, forward_m: f64, left_m: f64, yaw_deg: f64) -> PyResult<Self> {
-        for (name, value) in [("forward_m", forward_m), ("left_m", left_m), ("yaw_deg", yaw_deg)] {
+    /// Returns the scene with ego and cameras displaced in the ego frame: meters, degrees to the left and
+    /// upward. Raises `ValueError` for numbers that are not finite.
+    #[pyo3(signature = (*, forward_m=0.0, left_m=0.0, up_m=0.0, yaw_deg=0.0, pitch_deg=0.0))]
+    fn move_ego(
+        &self,
+        forward_m: f64,
+        left_m: f64,
+        up_m: f64,
+        yaw_deg: f64,
+        pitch_deg: f64,
+    ) -> PyResult<Self> {
+        let parts = [
+            ("forward_m", forward_m),
+            ("left_m", left_m),
+            ("up_m", up_m),
+            ("yaw_deg", yaw_deg),
+            ("pitch_deg", pitch_deg),
+        ];
+        for (name, value) in parts {
             if !value.is_finite() {
                 return Err(PyValueError::new_err(format!("expected a finite {name}, found {value}")));
             }
         }
-        let offset = EgoOffset { forward_m, left_m, yaw_deg };
+        let offset = EgoOffset { forward_m, left_m, up_m, yaw_deg, pitch_deg };
         Ok(self.with(self.inner.moved(offset)))
     }
 

@@ -1,6 +1,7 @@
+use std::collections::BTreeSet;
 use std::str::FromStr;
 
-use glam::DVec3;
+use glam::{DQuat, DVec3};
 
 use super::{ActorState, SceneCamera, SceneState};
 use crate::dataset::{EgoTrack, Frame, ImageRecord, Recording, RigCamera, TrackBox};
@@ -24,14 +25,47 @@ pub struct EgoOffset {
     pub forward_m: f64,
     /// To the left, meters.
     pub left_m: f64,
+    /// Up, meters.
+    #[serde(skip_serializing_if = "is_zero")]
+    pub up_m: f64,
     /// Rotation to the left, degrees.
     pub yaw_deg: f64,
+    /// Rotation of the front up, about the axis to the left after the yaw, degrees.
+    #[serde(skip_serializing_if = "is_zero")]
+    pub pitch_deg: f64,
+}
+
+#[allow(clippy::trivially_copy_pass_by_ref)] // the signature that serde calls
+fn is_zero(value: &f64) -> bool {
+    *value == 0.0
 }
 
 impl EgoOffset {
     /// Returns `ego_from_moved_ego`.
     pub fn pose(&self) -> Pose {
-        Pose::from_yaw(self.yaw_deg.to_radians(), DVec3::new(self.forward_m, self.left_m, 0.0))
+        let yawed =
+            Pose::from_yaw(self.yaw_deg.to_radians(), DVec3::new(self.forward_m, self.left_m, self.up_m));
+        if self.pitch_deg == 0.0 {
+            return yawed;
+        }
+        let rotation = DQuat::from_rotation_y(-self.pitch_deg.to_radians());
+        yawed * Pose { rotation, translation: DVec3::ZERO }
+    }
+}
+
+impl std::fmt::Display for EgoOffset {
+    /// Writes the text form, without the parts that are 0; empty if all are.
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let parts = [
+            ("forward_m", self.forward_m),
+            ("left_m", self.left_m),
+            ("up_m", self.up_m),
+            ("yaw_deg", self.yaw_deg),
+            ("pitch_deg", self.pitch_deg),
+        ];
+        let parts = parts.iter().filter(|(_, value)| *value != 0.0);
+        let parts: Vec<String> = parts.map(|(name, value)| format!("{name}={value}")).collect();
+        f.write_str(&parts.join(","))
     }
 }
 
@@ -40,7 +74,8 @@ impl FromStr for EgoOffset {
 
     fn from_str(text: &str) -> Result<Self, ParseOptionError> {
         let wrong = || ParseOptionError {
-            expected: "a moved ego, like forward_m=1,left_m=-2,yaw_deg=5 (any of them, each once, finite)",
+            expected: "a moved ego, like forward_m=1,left_m=-2,yaw_deg=5 (any of them, up_m and pitch_deg, each \
+                once, finite)",
             found: text.to_owned(),
         };
         let (mut offset, mut given) = (Self::default(), Vec::new());
@@ -50,7 +85,9 @@ impl FromStr for EgoOffset {
             let field = match name {
                 "forward_m" => &mut offset.forward_m,
                 "left_m" => &mut offset.left_m,
+                "up_m" => &mut offset.up_m,
                 "yaw_deg" => &mut offset.yaw_deg,
+                "pitch_deg" => &mut offset.pitch_deg,
                 _ => return Err(wrong()),
             };
             *field = value.trim().parse().ok().filter(|value: &f64| value.is_finite()).ok_or_else(wrong)?;
@@ -64,6 +101,14 @@ impl FromStr for EgoOffset {
 }
 
 impl SceneState {
+    /// Returns the state without the actors of some tracks. The numbers in instance maps are those of the
+    /// remaining actors.
+    #[must_use]
+    pub fn hiding(self, tracks: &BTreeSet<String>) -> Self {
+        let actors = self.actors.into_iter().filter(|actor| !tracks.contains(&actor.track)).collect();
+        Self { actors, ..self }
+    }
+
     /// Returns the state with the ego and its cameras displaced; cameras fixed in the global frame stay.
     #[must_use]
     pub fn moved(&self, offset: EgoOffset) -> Self {
@@ -197,8 +242,16 @@ mod tests {
     #[test]
     fn offsets_are_named_with_their_units() {
         let offset: EgoOffset = "left_m=-2.5, yaw_deg=90".parse().unwrap();
-        assert_eq!(offset, EgoOffset { forward_m: 0.0, left_m: -2.5, yaw_deg: 90.0 });
+        assert_eq!(offset, EgoOffset { left_m: -2.5, yaw_deg: 90.0, ..EgoOffset::default() });
         assert!((offset.pose().yaw_rad() - std::f64::consts::FRAC_PI_2).abs() < 1e-15);
+        assert_eq!(offset.to_string(), "left_m=-2.5,yaw_deg=90");
+        assert_eq!(
+            serde_json::to_string(&offset).unwrap(),
+            r#"{"forward_m":0.0,"left_m":-2.5,"yaw_deg":90.0}"#
+        );
+        let raised: EgoOffset = "up_m=2,yaw_deg=90,pitch_deg=30".parse().unwrap();
+        let ahead = raised.pose().transform_point(DVec3::X * 10.0);
+        assert!((ahead - DVec3::new(0.0, 10.0 * 0.75_f64.sqrt(), 7.0)).length() < 1e-12, "{ahead}");
         for text in ["", "1,2,3", "left=1", "left_m=1,left_m=1", "yaw_deg=nan", "forward_m", "forward_m=1,"] {
             let message = text.parse::<EgoOffset>().unwrap_err().to_string();
             assert!(message.contains("forward_m=1,left_m=-2,yaw_deg=5"), "{message}");

@@ -1,4 +1,4 @@
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::ops::{Range, RangeInclusive};
 use std::sync::Arc;
 
@@ -33,6 +33,7 @@ pub struct SceneSequence<'a> {
     offset: EgoOffset,
     views: Option<Vec<View>>,
     map: Option<Arc<SceneMap>>,
+    hidden: BTreeSet<String>,
     steps: Vec<Step>,
 }
 
@@ -77,7 +78,21 @@ impl<'a> SceneSequence<'a> {
         if views.is_none() && log.cameras.is_empty() {
             return Err(SequenceError::NoCameras { log: name() });
         }
-        Ok(Self { log, ego: EgoTrack::new(log), offset, views, map, steps })
+        let (ego, hidden) = (EgoTrack::new(log), BTreeSet::new());
+        Ok(Self { log, ego, offset, views, map, hidden, steps })
+    }
+
+    /// Leaves the actors of some tracks out of all states.
+    ///
+    /// # Errors
+    /// Fails if the log has no such track.
+    pub fn hiding(self, tracks: BTreeSet<String>) -> Result<Self, SequenceError> {
+        match tracks.iter().find(|id| self.log.tracks.iter().all(|track| track.id != **id)) {
+            Some(id) => {
+                Err(SequenceError::NoTrack { track: id.clone(), log: self.log.shown_name().into_owned() })
+            }
+            None => Ok(Self { hidden: tracks, ..self }),
+        }
     }
 
     /// Returns the number of states; at least one.
@@ -103,6 +118,7 @@ impl<'a> SceneSequence<'a> {
             };
             let mut state = state.ok_or(SequenceError::NoPose)?;
             state.map.clone_from(&self.map);
+            let state = state.hiding(&self.hidden);
             Ok(match &self.views {
                 Some(views) => with_cameras(state, views),
                 None => state,
@@ -132,6 +148,14 @@ pub enum SequenceError {
     Rate {
         /// The rate, per second.
         hz: f64,
+    },
+    /// The log has no such track.
+    #[error("expected tracks of log {log}, found {track:?}")]
+    NoTrack {
+        /// Track id.
+        track: String,
+        /// Name of the log.
+        log: String,
     },
     /// A time occurs twice; times become folder names.
     #[error("expected times that differ, found {t_us} twice")]

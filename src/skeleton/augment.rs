@@ -3,6 +3,7 @@
 
 use std::collections::BTreeSet;
 use std::f64::consts::{FRAC_PI_4, FRAC_PI_6};
+use std::str::FromStr;
 
 use glam::{DAffine3, DMat3, DVec3};
 use rand_chacha::ChaCha8Rng;
@@ -12,7 +13,7 @@ use rustc_hash::FxHashMap;
 use serde::Serialize;
 
 use crate::cloud::{Bounds, Point};
-use crate::geometry::{Camera, View};
+use crate::geometry::{Camera, ParseOptionError, View};
 use crate::raster::reference::{ReferenceRasterizer, project};
 use crate::raster::{
     Instance, MapKind, MapSet, Rasterizer, SplatJob, SplatSchedule, SplatStep, draws_from_job,
@@ -37,6 +38,31 @@ pub struct AugmentOptions {
 impl Default for AugmentOptions {
     fn default() -> Self {
         Self { seed: 0, share: 0.8, ratio: [0.05, 0.8], min_points: 200, color_only: false }
+    }
+}
+
+impl FromStr for AugmentOptions {
+    type Err = ParseOptionError;
+
+    /// Parses a seed, `share=S` and `color_only`, all optional: `7,share=0.5,color_only`.
+    fn from_str(text: &str) -> Result<Self, ParseOptionError> {
+        let wrong = |found: &str| ParseOptionError {
+            expected: "SEED,share=S,color_only with a share from 0 to 1, all optional",
+            found: found.to_owned(),
+        };
+        let mut options = Self { seed: 0, ..Self::default() };
+        for part in text.split(',').filter(|part| !part.is_empty()) {
+            match (part, part.split_once('=')) {
+                ("color_only", _) => options.color_only = true,
+                (_, Some(("share", share))) => {
+                    let share = share.parse().ok().filter(|share| (0.0..=1.0).contains(share));
+                    options.share = share.ok_or_else(|| wrong(part))?;
+                }
+                (seed, None) => options.seed = seed.parse().map_err(|_| wrong(part))?,
+                _ => return Err(wrong(part)),
+            }
+        }
+        Ok(options)
     }
 }
 
@@ -201,6 +227,19 @@ mod tests {
     use rayon::prelude::*;
 
     const SIZE: [f64; 3] = [4.6, 1.9, 1.5];
+
+    #[test]
+    fn augmentation_has_a_seed_and_two_options() {
+        let parsed = |text: &str| text.parse::<AugmentOptions>();
+        let defaults = AugmentOptions { seed: 0, ..AugmentOptions::default() };
+        assert_eq!(parsed(""), Ok(defaults));
+        let all = AugmentOptions { seed: 3, share: 1.0, color_only: true, ..defaults };
+        assert_eq!(parsed("3,share=1,color_only"), Ok(all));
+        for text in ["x", "3,color", "shares=1", "-1", "share=1.5", "share=nan"] {
+            let message = parsed(text).unwrap_err().to_string();
+            assert!(message.contains("SEED,share=S,color_only with a share from 0 to 1"), "{message}");
+        }
+    }
 
     /// Returns the four sides of a box and its top, with a point every `step_m`.
     fn shell(step_m: f64) -> Vec<Point> {

@@ -114,6 +114,14 @@ pub fn draw_map(
     (size, canvas.pixels)
 }
 
+/// Returns one map of one camera in the colors of the sheet, at its own size; `None` if the camera has no such
+/// map.
+pub fn picture(camera: &CameraConditions, kind: MapKind, bins: &DepthBins) -> Option<Vec<[u8; 3]>> {
+    let size = camera.size();
+    let tile = Tile { camera, corner: [0, 0], size, to: size, bins: OnceCell::new() };
+    Some(tile.picture(kind, &Shades::of(bins))?.into_owned())
+}
+
 /// Returns the size of the image that [`draw_map`] draws and each camera's rectangle in it: left, top, width,
 /// height, pixels.
 pub fn places(set: &ConditionSet, tile_width: u32) -> (ImageSize, Vec<[u32; 4]>) {

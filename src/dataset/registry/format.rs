@@ -86,6 +86,23 @@ pub struct LogLocator {
 }
 
 impl LogLocator {
+    /// Returns the options of commands with which the log is read, without those that have their default
+    /// values.
+    pub fn arguments(&self) -> Vec<String> {
+        let (usual, reading) = (ReadOptions::default(), &self.reading);
+        let folder = |path: &Option<PathBuf>| path.as_ref().map(|path| path.display().to_string());
+        let other = |name: &str, is_usual: bool| (!is_usual).then(|| name.to_owned());
+        let options = [
+            ("--sensor-root", folder(&self.sensor_root)),
+            ("--map-root", folder(&self.map_root)),
+            ("--missing", other(reading.missing.name(), reading.missing == usual.missing)),
+            ("--ring-is", other(reading.rings.name(), reading.rings == usual.rings)),
+            ("--image-distortion", other(reading.distortion.name(), reading.distortion == usual.distortion)),
+        ];
+        let given = options.into_iter().filter_map(|(name, value)| Some([name.to_owned(), value?]));
+        given.flatten().chain(self.allow_outside.then(|| "--allow-outside".to_owned())).collect()
+    }
+
     /// Returns the files and folders that the log is read from, as far as the locator names them.
     pub fn inputs(&self) -> impl Iterator<Item = &Path> {
         let roots = [&self.sensor_root, &self.map_root].into_iter().flatten();

@@ -51,8 +51,8 @@ pub(crate) struct HoldOutArgs {
 /// Displacement of the ego.
 #[derive(Clone, Copy, Debug, Default, Args)]
 pub(crate) struct MovedEgoArgs {
-    /// Move the ego in its own frame, like forward_m=1,left_m=2,yaw_deg=5: meters forward and to the left,
-    /// degrees to the left
+    /// Move the ego in its own frame, like forward_m=1,left_m=2,yaw_deg=5: meters forward, to the left and up
+    /// (up_m), degrees to the left and of the front upward (pitch_deg)
     #[arg(long, value_name = "left_m=M,..")]
     pub(crate) ego_offset: Option<EgoOffset>,
 }

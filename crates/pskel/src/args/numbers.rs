@@ -16,11 +16,6 @@ pub(crate) fn margin_m(text: &str) -> Result<f64, String> {
     finite(text).filter(|v| *v >= 0.0).ok_or_else(|| "expected meters, 0 or more".into())
 }
 
-/// Parses a share from 0 to 1.
-pub(crate) fn share(text: &str) -> Result<f64, String> {
-    finite(text).filter(|v| (0.0..=1.0).contains(v)).ok_or_else(|| "expected a share from 0 to 1".into())
-}
-
 /// Parses a distance of more than zero meters that is also finite as `f32`.
 pub(crate) fn distance_m(text: &str) -> Result<f64, String> {
     finite(text)

@@ -4,8 +4,6 @@ use clap::Args;
 use point_skeleton::scene::SubstituteOptions;
 use point_skeleton::skeleton::AugmentOptions;
 
-use super::numbers;
-
 /// Options of substitute clouds: templates and augmented assets.
 #[derive(Clone, Debug, Args)]
 #[command(next_help_heading = "Templates and augmentation")]
@@ -21,7 +19,7 @@ pub(crate) struct SubstituteArgs {
     /// their points, half reduced to the points seen by one camera; the choice depends on the seed and the
     /// track. SEED is 0 by default, share 0.8; with color_only, only color shows the degraded assets
     #[arg(long, value_name = "SEED,share=S,color_only", num_args = 0..=1, require_equals = true)]
-    #[arg(default_missing_value = "", value_parser = augment)]
+    #[arg(default_missing_value = "")]
     augment: Option<AugmentOptions>,
 }
 
@@ -37,40 +35,6 @@ impl SubstituteArgs {
             library: self.templates.clone(),
             use_default: !self.no_default_templates,
             augment: self.augment,
-        }
-    }
-}
-
-/// Parses a seed, `share=S` and `color_only`, all optional.
-fn augment(text: &str) -> Result<AugmentOptions, String> {
-    let mut options = AugmentOptions { seed: 0, ..AugmentOptions::default() };
-    for part in text.split(',').filter(|part| !part.is_empty()) {
-        match (part, part.split_once('=')) {
-            ("color_only", _) => options.color_only = true,
-            (_, Some(("share", share))) => options.share = numbers::share(share)?,
-            (seed, None) => {
-                let expected = |_| format!("expected SEED,share=S,color_only, found {part:?}");
-                options.seed = seed.parse().map_err(expected)?;
-            }
-            _ => return Err(format!("expected SEED,share=S,color_only, found {part:?}")),
-        }
-    }
-    Ok(options)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn augmentation_has_a_seed_and_two_options() {
-        let defaults = AugmentOptions { seed: 0, ..AugmentOptions::default() };
-        assert_eq!(augment(""), Ok(defaults));
-        let all = AugmentOptions { seed: 3, share: 1.0, color_only: true, ..defaults };
-        assert_eq!(augment("3,share=1,color_only"), Ok(all));
-        assert!(augment("share=1.5").unwrap_err().contains("a share from 0 to 1"));
-        for text in ["x", "3,color", "shares=1", "-1"] {
-            assert!(augment(text).unwrap_err().contains("expected SEED,share=S,color_only"), "{text}");
         }
     }
 }

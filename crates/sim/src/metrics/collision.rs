@@ -35,6 +35,21 @@ pub struct Collision {
     pub actor_speed_mps: f64,
 }
 
+impl Collision {
+    /// Describes the collision; `category` is the actor's.
+    pub fn text(&self, category: &str) -> String {
+        let fault = match self.at_fault {
+            Some(true) => ", the ego's fault",
+            Some(false) => ", not the ego's fault",
+            None => "",
+        };
+        // Avoids a minus before zero.
+        let speed = |speed_mps: f64| format!("{:.1} m/s", (speed_mps * 10.0).round() / 10.0 + 0.0);
+        let [ego, other] = [self.ego_speed_mps, self.actor_speed_mps].map(speed);
+        format!("collision with {category} (ego {ego}, other {other}){fault}")
+    }
+}
+
 /// Kind of a collision, as in nuPlan.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]

@@ -28,7 +28,7 @@ pub struct Trajectory {
 
 impl Waypoint {
     /// Returns the ego's state at a time (microseconds) as a waypoint.
-    pub(crate) fn of(ego: &EgoState, t_us: i64) -> Self {
+    pub fn of(ego: &EgoState, t_us: i64) -> Self {
         let place = ego.position_m();
         let (heading_rad, speed_mps) = (ego.heading_rad(), ego.speed_mps);
         Self { t_us, x_m: place.x, y_m: place.y, heading_rad, speed_mps }

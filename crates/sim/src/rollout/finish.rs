@@ -156,14 +156,6 @@ fn newly_visible(row: &StepRow, report: &RolloutReport) -> Vec<PageActor> {
 pub(super) fn event(collision: &Collision, row: Option<&StepRow>) -> PageEvent {
     let actor = row.and_then(|row| row.actors.iter().find(|actor| actor.track == collision.track));
     let category = actor.map_or("an actor", |actor| actor.category.as_str());
-    let fault = match collision.at_fault {
-        Some(true) => ", the ego's fault",
-        Some(false) => ", not the ego's fault",
-        None => "",
-    };
-    // Avoids a minus before zero.
-    let speed = |speed_mps: f64| format!("{:.1} m/s", (speed_mps * 10.0).round() / 10.0 + 0.0);
-    let [ego, other] = [collision.ego_speed_mps, collision.actor_speed_mps].map(speed);
-    let text = format!("collision with {category} (ego {ego}, other {other}){fault}");
+    let text = collision.text(category);
     PageEvent { step: collision.step, text }
 }

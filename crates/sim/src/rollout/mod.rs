@@ -26,7 +26,7 @@ mod tests;
 pub use error::{AnyError, RolloutError};
 pub use finish::{check_finished, is_finished};
 pub use generator::{GenerationTimes, ImageGenerator};
-pub use options::{InputPaths, ResumeAfter, RolloutInputs, RolloutOptions};
+pub use options::{InputPaths, ResumeAfter, RolloutInputs, RolloutOptions, rollout_extra};
 pub use output::files::METRICS;
 #[cfg(feature = "mcap")]
 pub use output::mcap::MCAP;
@@ -113,6 +113,7 @@ impl<'a> Rollout<'a> {
         let record = RolloutRecord {
             conditions: options.conditions,
             selection: options.selection,
+            hide: options.hide,
             format: options.format,
             forecast_steps: options.forecast_steps,
             sheets: options.sheets,

@@ -1,10 +1,11 @@
+use std::collections::BTreeSet;
 use std::path::Path;
 
 use point_skeleton::conditions::write::meta::PromptParts;
 use point_skeleton::conditions::{ConditionOptions, MapFormat};
 #[cfg(feature = "mcap")]
 use point_skeleton::files::OutputFile;
-use point_skeleton::scene::SelectionOptions;
+use point_skeleton::scene::{SelectionOptions, SubstituteReport};
 use point_skeleton::skeleton::Skeleton;
 use serde::Serialize;
 use serde_json::{Map, Value};
@@ -20,6 +21,8 @@ pub struct RolloutOptions {
     pub conditions: ConditionOptions,
     /// Selection of actors and templates.
     pub selection: SelectionOptions,
+    /// Track ids of actors that are not drawn.
+    pub hide: BTreeSet<String>,
     /// File format of the maps.
     pub format: MapFormat,
     /// Number of planning steps to forecast and render at each planning step.
@@ -61,6 +64,22 @@ pub struct InputPaths<'a> {
     pub prompt: Option<&'a Path>,
 }
 
+/// Returns the options of templates, assets and generator for [`RolloutOptions::extra`].
+///
+/// # Errors
+/// Fails if they cannot be serialized.
+pub fn rollout_extra(
+    substitutes: &SubstituteReport,
+    generator: Value,
+) -> serde_json::Result<Map<String, Value>> {
+    let mut extra = match serde_json::to_value(substitutes)? {
+        Value::Object(fields) => fields,
+        _ => Map::new(),
+    };
+    extra.insert("generator".to_owned(), generator);
+    Ok(extra)
+}
+
 /// Step of an earlier rollout in the same folder after which to resume.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ResumeAfter {
@@ -77,6 +96,8 @@ pub(super) struct RolloutRecord {
     pub(super) conditions: ConditionOptions,
     #[serde(flatten)]
     pub(super) selection: SelectionOptions,
+    #[serde(skip_serializing_if = "BTreeSet::is_empty")]
+    pub(super) hide: BTreeSet<String>,
     pub(super) format: MapFormat,
     pub(super) forecast_steps: usize,
     pub(super) sheets: bool,

@@ -19,8 +19,11 @@ use super::output::files::{shown_files, step_folder};
 use super::output::{Job, Output};
 use super::profile::{StepTimes, WriteTimes, lap};
 use super::report::RolloutReport;
-use crate::report::{Phase, StateFile, StepObservations, StepRow, view, visibility};
-use crate::{Instant, Metrics, SavedState, Scenario, Simulation, StepOutcome, Waypoint, scene_state};
+use crate::report::visibility::{self, VisibleActor};
+use crate::report::{Phase, StateFile, StepObservations, StepRow, view};
+use crate::{
+    Instant, Metrics, SavedState, Scenario, SimActor, Simulation, StepOutcome, Waypoint, scene_state,
+};
 
 /// State shared by all steps.
 pub(super) struct Steps<'a> {
@@ -127,7 +130,8 @@ impl Steps<'_> {
     }
 
     fn state(&self, instant: &Instant) -> SceneState {
-        scene_state(self.scenario.log, instant, self.scenario.map.clone())
+        let state = scene_state(self.scenario.log, instant, self.scenario.map.clone());
+        state.hiding(&self.output.record.hide)
     }
 }
 
@@ -232,7 +236,7 @@ impl Loop<'_, '_, '_, '_> {
                 lateral: metrics.lateral_deviation_m,
                 heading: metrics.heading_deviation_rad,
                 driving_command,
-                seen: visibility::visible_actors(&set, instant.actors.len()),
+                seen: self.seen(&set, &state, &instant),
             };
             let by_log = instant.step <= self.steps.output.record.takeover_step;
             let phase = if by_log { Phase::WarmUp } else { Phase::Policy };
@@ -265,6 +269,23 @@ impl Loop<'_, '_, '_, '_> {
             self.simulation.show(shown_files(&folder)?);
         }
         Ok(true)
+    }
+
+    /// Returns the cameras that show each actor of an instant; hidden actors have none.
+    fn seen(
+        &self,
+        set: &ConditionSet,
+        state: &SceneState,
+        instant: &Instant,
+    ) -> Option<Vec<Vec<VisibleActor>>> {
+        let hidden = &self.steps.output.record.hide;
+        let mut drawn = visibility::visible_actors(set, state.actors.len())?.into_iter();
+        let tracks = &self.steps.scenario.log.tracks;
+        let of = |actor: &SimActor| match hidden.contains(&tracks[actor.track].id) {
+            true => Vec::new(),
+            false => drawn.next().unwrap_or_default(),
+        };
+        Some(instant.actors.iter().map(of).collect())
     }
 
     /// Places the cameras in the page's images.

@@ -29,7 +29,7 @@ fn close(a: &Pose, b: &Pose) -> bool {
 /// there.
 #[test]
 fn cameras_move_with_a_moved_ego() {
-    let offset = EgoOffset { forward_m: 0.5, left_m: 2.0, yaw_deg: 6.0 };
+    let offset = EgoOffset { forward_m: 0.5, left_m: 2.0, yaw_deg: 6.0, ..EgoOffset::default() };
     let moved = MovedEgo::new(Box::new(Town::new(&OPTIONS).unwrap()), offset).unwrap();
     let log = town().recording();
     for frame in 0..FRAMES {

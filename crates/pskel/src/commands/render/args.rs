@@ -1,3 +1,4 @@
+use std::collections::BTreeSet;
 use std::path::PathBuf;
 
 use clap::Args;
@@ -9,7 +10,7 @@ use serde::Serialize;
 
 use crate::WrongUsage;
 use crate::args::frames::{FrameArgs, MovedEgoArgs, RateArgs};
-use crate::args::maps::MapArgs;
+use crate::args::maps::{HiddenArgs, MapArgs};
 use crate::args::outputs::FolderArgs;
 use crate::args::prompt::PromptArgs;
 use crate::args::rasterizer::RasterizerArgs;
@@ -60,6 +61,8 @@ pub(crate) struct RenderArgs {
     #[command(flatten)]
     pub(super) maps: MapArgs,
     #[command(flatten)]
+    pub(super) hidden: HiddenArgs,
+    #[command(flatten)]
     pub(super) substitutes: SubstituteArgs,
     #[command(flatten)]
     pub(super) rasterizer: RasterizerArgs,
@@ -72,6 +75,8 @@ pub(super) struct RenderOptions {
     pub(super) conditions: ConditionOptions,
     #[serde(flatten)]
     pub(super) selection: SelectionOptions,
+    #[serde(skip_serializing_if = "BTreeSet::is_empty")]
+    hide: BTreeSet<String>,
     /// Times per second, unless frames were rendered.
     hz: Option<f64>,
     #[serde(flatten)]
@@ -126,6 +131,7 @@ impl RenderArgs {
         RenderOptions {
             conditions: self.maps.conditions(maps),
             selection: self.maps.selection(),
+            hide: self.hidden.tracks(),
             hz: self.rate.hz,
             substitutes,
             ego_offset: self.moved.ego_offset.unwrap_or_default(),

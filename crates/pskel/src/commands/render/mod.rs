@@ -49,6 +49,7 @@ pub(crate) fn run(args: RenderArgs) -> anyhow::Result<()> {
     })?;
     let offset = args.moved.ego_offset.unwrap_or_default();
     let states = SceneSequence::new(log, args.times(log)?, offset, views, map).map_err(usage)?;
+    let states = states.hiding(args.hidden.tracks()).map_err(usage)?;
     let (substitutes, substitute_report) = args.substitutes.options().make(&skeleton, &log.name)?;
     let options = args.options(maps, substitute_report);
     let mut renderer = Renderer::new(
@@ -102,7 +103,7 @@ fn warn_of_uncovered<'a>(cameras: impl Iterator<Item = &'a Camera>) {
 /// Converts invalid options into [`WrongUsage`], which has its own exit code.
 fn usage(error: SequenceError) -> anyhow::Error {
     match error {
-        SequenceError::Twice { .. } => WrongUsage(error.to_string()).into(),
+        SequenceError::Twice { .. } | SequenceError::NoTrack { .. } => WrongUsage(error.to_string()).into(),
         _ => error.into(),
     }
 }

@@ -22,7 +22,7 @@ use pskel_sim::{
 use super::generation::{GeneratorArgs, GivenImages};
 use super::inputs::Inputs;
 use super::policies::PolicyArgs;
-use crate::args::maps::MapArgs;
+use crate::args::maps::{HiddenArgs, MapArgs};
 use crate::args::numbers;
 use crate::args::outputs::{self, FolderArgs};
 use crate::args::prompt::PromptArgs;
@@ -77,6 +77,8 @@ pub(crate) struct SimulateArgs {
     pub(super) generator: GeneratorArgs,
     #[command(flatten)]
     pub(super) maps: MapArgs,
+    #[command(flatten)]
+    pub(super) hidden: HiddenArgs,
     #[command(flatten)]
     pub(super) substitutes: SubstituteArgs,
     #[command(flatten)]
@@ -160,6 +162,7 @@ impl SimulateArgs {
             policies: PolicyArgs::of_clip(clip.ego, clip.actors, rates),
             generator: clip.generator,
             maps: clip.maps,
+            hidden: HiddenArgs::default(),
             substitutes: clip.substitutes,
             rasterizer: clip.rasterizer,
             frames,

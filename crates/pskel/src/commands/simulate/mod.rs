@@ -18,10 +18,10 @@ use point_skeleton::dataset::Recording;
 use point_skeleton::error::with_causes;
 use point_skeleton::files::{OutputFile, check_place};
 use point_skeleton::geometry::{Camera, ImageSize};
-use point_skeleton::scene::SubstituteReport;
 use point_skeleton::{RenderOptions, Renderer};
 use pskel_sim::rollout::{
     ImageGenerator, InputPaths, Rollout, RolloutError, RolloutInputs, RolloutOptions, RolloutReport,
+    rollout_extra,
 };
 use pskel_sim::{Rates, Scenario, SimOptions};
 use serde_json::{Map, Value};
@@ -70,7 +70,8 @@ pub(crate) fn rollout(args: SimulateArgs) -> anyhow::Result<String> {
         is_open_loop: args.is_open_loop(),
     };
     let (substitutes, substitute_report) = args.substitutes.options().make(skeleton, &log.name)?;
-    let extra = extra(&substitute_report, opened.as_ref())?;
+    let generator = opened.as_ref().map(Opened::record).transpose()?.unwrap_or(Value::Null);
+    let extra = rollout_extra(&substitute_report, generator)?;
     let facts = opened.iter().map(Opened::fact).collect();
     let options = options(&args, &files, log, *maps, simulation, extra, facts);
     let paths = InputPaths {
@@ -136,20 +137,6 @@ fn usage(error: RolloutError) -> anyhow::Error {
     }
 }
 
-/// Returns the options of templates, assets and generator for `rollout.json`.
-fn extra(
-    substitutes: &SubstituteReport,
-    generator: Option<&Opened>,
-) -> serde_json::Result<Map<String, Value>> {
-    let mut extra = match serde_json::to_value(substitutes)? {
-        Value::Object(fields) => fields,
-        _ => Map::new(),
-    };
-    let generator = generator.map(Opened::record).transpose()?;
-    extra.insert("generator".to_owned(), generator.unwrap_or(Value::Null));
-    Ok(extra)
-}
-
 fn options(
     args: &SimulateArgs,
     files: &OutputFiles,
@@ -169,6 +156,7 @@ fn options(
         simulation,
         conditions: ConditionOptions { out_size, ..conditions },
         selection: args.maps.selection(),
+        hide: args.hidden.tracks(),
         format: args.maps.format,
         forecast_steps: args.forecast_steps(),
         sheets: args.sheets,
