@@ -1,7 +1,8 @@
-// Tests of the page in a browser against a server: #selftest visits everything once, #random=N&seed=S does
+// Tests of the page in a browser against a server: #selftest visits everything once, with #selftest&size=HxW on
+// maps of that size (for programs without optimization); #random=N&seed=S does
 // N random things. The result is written into the element `selftest`.
 
-import { cut } from "./connection.js";
+import { cut, send } from "./connection.js";
 import { keysNumber, release } from "./keys.js";
 import { on, simulating, state } from "./store.js";
 import { canvasOf, layout, mapOf, mapsOf } from "./view.js";
@@ -132,13 +133,17 @@ function brightness(canvas) {
 
 const quantile = (values, q) => [...values].sort((a, b) => a - b)[Math.min(values.length - 1, Math.floor(q * values.length))];
 
-export async function selfTest() {
+export async function selfTest(size = null) {
   await until(() => state.frame, "the first picture", 300000);
   const firstMs = Math.round(performance.now());
   const { cameras, maps, frames_us: frames, drivers } = state.hello;
   expect(cameras.length > 0 && maps.length > 0 && byId("maps").children.length === maps.length, "cameras, and a button per map");
   expect(document.querySelectorAll(".cell").length === cameras.length, "a cell per camera");
   if (!state.youDrive) { byId("take").click(); await until(() => state.youDrive, "this page drives"); }
+  if (size) {
+    send("view", { size });
+    await until(() => state.frame.images?.[0]?.height === size[0], "maps of the wanted size");
+  }
   if (simulating()) { choose("modes", "look"); await until(() => !simulating(), "looking at the log"); }
   await until(() => (state.frame.images ?? []).some(({ map }) => map === "birdseye"), "the bird's-eye view");
   labelled();

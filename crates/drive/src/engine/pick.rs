@@ -1,0 +1,105 @@
+//! What a pixel shows.
+
+use glam::DVec3;
+use point_skeleton::MapOptions;
+use point_skeleton::conditions::ConditionSet;
+use point_skeleton::raster::{MapKind, MapSet};
+use point_skeleton::scene::SceneState;
+use point_skeleton::skeleton::Skeleton;
+use serde::Serialize;
+
+use crate::message::Pixel;
+
+/// Maps that tell what a pixel shows.
+pub(super) const MAPS: [MapKind; 4] = [MapKind::Color, MapKind::Depth, MapKind::Class, MapKind::Instance];
+
+/// Answer to a click.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+#[serde(tag = "type", rename = "picked")]
+pub(super) struct Picked {
+    camera: String,
+    x: u32,
+    y: u32,
+    /// Along the axis of the camera, meters.
+    depth_m: Option<f64>,
+    class: Option<u8>,
+    /// Global, meters.
+    point: Option<[f64; 3]>,
+    rgb: [u8; 3],
+    track: Option<String>,
+    actor: Option<PickedActor>,
+}
+
+/// Actor at a pixel.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub(super) struct PickedActor {
+    track: String,
+    category: String,
+    /// Points of the asset in the skeleton.
+    points: usize,
+    /// Whether geometry maps show a template rather than the asset.
+    template: bool,
+    size_m: [f64; 3],
+}
+
+/// Returns the options for rendering [`MAPS`].
+pub(super) fn maps() -> MapSet {
+    MapSet::of(&MAPS)
+}
+
+/// Returns what a pixel shows; `set` has [`MAPS`] of `state`.
+///
+/// # Errors
+/// Fails if there is no such camera or pixel.
+pub(super) fn picked(
+    pixel: &Pixel,
+    state: &SceneState,
+    set: &ConditionSet,
+    options: &MapOptions,
+    skeleton: &Skeleton,
+    log: &str,
+) -> Result<Picked, String> {
+    let found = set.cameras.iter().zip(&state.cameras).find(|(maps, _)| *maps.name == *pixel.camera);
+    let (maps, camera) =
+        found.ok_or_else(|| format!("expected a camera of the log, found {:?}", pixel.camera))?;
+    if pixel.x >= maps.width || pixel.y >= maps.height {
+        let (width, height) = (maps.width, maps.height);
+        return Err(format!("expected a pixel within {width}x{height}, found {}, {}", pixel.x, pixel.y));
+    }
+    let at = (pixel.y * maps.width + pixel.x) as usize;
+    let depth_m =
+        maps.depth_m.as_ref().map(|depth_m| f64::from(depth_m[at])).filter(|depth| depth.is_finite());
+    let view = options.conditions.drawn_view(&camera.view);
+    let view =
+        point_skeleton::geometry::View { camera: view.camera.resized(maps.height, maps.width), ..view };
+    let point = depth_m.map(|depth_m| {
+        let center = DVec3::new(f64::from(pixel.x) + 0.5, f64::from(pixel.y) + 0.5, 1.0);
+        let in_camera = view.camera.intrinsics.inverse() * center * depth_m;
+        view.camera_from_world.inverse().transform_point3(in_camera).to_array()
+    });
+    let instance = maps.instance.as_ref().map_or(0, |instance| instance[at]) as usize;
+    let actor = instance.checked_sub(1).and_then(|index| state.actors.get(index));
+    let actor = actor.map(|actor| {
+        let mut assets = skeleton.manifest.actors.iter();
+        let asset = assets.find(|asset| asset.track == actor.track && asset.log == log);
+        let points = asset.map_or(0, |asset| asset.points);
+        PickedActor {
+            track: actor.track.clone(),
+            category: actor.category.clone(),
+            points,
+            template: points <= options.selection.min_actor_points,
+            size_m: actor.cuboid.size.to_array(),
+        }
+    });
+    Ok(Picked {
+        camera: pixel.camera.clone(),
+        x: pixel.x,
+        y: pixel.y,
+        depth_m,
+        class: maps.class.as_ref().map(|class| class[at]).filter(|class| *class > 0),
+        point,
+        rgb: maps.color.as_ref().map_or([0; 3], |color| color[at]),
+        track: actor.as_ref().map(|actor| actor.track.clone()),
+        actor,
+    })
+}
