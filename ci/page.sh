@@ -18,36 +18,12 @@ pictures=${2:-}
 scratch=$(mktemp -d)
 trap 'rm -rf "$scratch"' EXIT
 
-browser() { command -v chromium || command -v chromium-browser || command -v google-chrome; }
-
-install() {
-    local root=()
-    if ! command -v apt-get >/dev/null; then
-        say "expected chromium or apt-get to install it, found neither"
-        exit 1
-    fi
-    [ "$(id -u)" -eq 0 ] || root=(sudo)
-    say "installing chromium"
-    "${root[@]}" env DEBIAN_FRONTEND=noninteractive apt-get update -qq
-    "${root[@]}" env DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends chromium >/dev/null
-}
-
-browser >/dev/null || install
-chromium=$(browser)
-
-# Opens a page in a window of the given size, with a fresh profile.
-run() {
-    local size=$1
-    shift
-    timeout 300 "$chromium" --headless --no-sandbox --disable-gpu --disable-quic --no-first-run \
-        --disable-background-networking --disable-component-update --disable-sync --hide-scrollbars \
-        --user-data-dir="$(mktemp -d -p "$scratch")" --window-size="$size" "$@" 2>>"$scratch/browser.log"
-}
+. "$(dirname "$0")/browser.sh"
 
 # What the page says of itself.
 selftest() {
     run "$1" --virtual-time-budget=600000 --dump-dom "file://$2/index.html#selftest" >"$scratch/dom.html" || true
-    sed -nE 's/.*<pre id="selftest"[^>]*>([^<]*).*/\1/p' "$scratch/dom.html"
+    selftest_text "$scratch/dom.html"
 }
 
 for size in 1500,1300 420,900; do

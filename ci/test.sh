@@ -69,11 +69,13 @@ python_count() {
     sed -nE "s/^(.*[^0-9])?([0-9]+) $1.* in [0-9.]+s.*$/\\2/p" "$scratch/python.txt" | tail -n 1 | grep . || echo 0
 }
 
+# The program built by the tests.
+program() {
+    cargo metadata --locked --no-deps --format-version 1 | sed -n 's/.*"target_directory":"\([^"]*\)".*/\1\/debug\/pskel/p'
+}
+
 run_demo() {
-    # Use the program built by the tests instead of compiling again.
-    local target
-    target=$(cargo metadata --locked --no-deps --format-version 1 | sed -n 's/.*"target_directory":"\([^"]*\)".*/\1/p')
-    PSKEL=$target/debug/pskel OUT="$scratch/demo" TOWN=seed=7,frames=3,size=113x200 FRAMES=0..1 STEPS=4 SIZE=113x200 SIMULATE='' ci/demo.sh
+    PSKEL=$(program) OUT="$scratch/demo" TOWN=seed=7,frames=3,size=113x200 FRAMES=0..1 STEPS=4 SIZE=113x200 SIMULATE='' ci/demo.sh
     if [ -n "${PSKEL_ARTIFACTS:-}" ]; then
         mkdir -p "$PSKEL_ARTIFACTS"
         cp "$scratch/demo"/fidelity.{md,csv} "$PSKEL_ARTIFACTS"
@@ -91,6 +93,7 @@ run_page() {
         return
     fi >/dev/null
     ci/page.sh "$scratch/demo/rollout" ${PSKEL_ARTIFACTS:+"$PSKEL_ARTIFACTS"}
+    ci/live.sh "$(program)" town:seed=7,frames=3,size=113x200 "$scratch/demo/skeleton" ${PSKEL_ARTIFACTS:+"$PSKEL_ARTIFACTS"}
 }
 
 step ci/setup.sh --tests

@@ -24,6 +24,7 @@ try:
         splat,
     )
     from ._build import build
+    from ._drive import Drive, drive
     from ._export import ExportReport, export
     from ._renderer import Renderer
     from ._simulation import Simulation
@@ -44,6 +45,7 @@ __all__ = [
     "Camera",
     "Captions",
     "Committed",
+    "Drive",
     "Error",
     "ExportReport",
     "Forecast",
@@ -60,6 +62,7 @@ __all__ = [
     "Skeleton",
     "__version__",
     "build",
+    "drive",
     "export",
     "fill_holes",
     "splat",

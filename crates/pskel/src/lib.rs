@@ -40,6 +40,8 @@ enum Command {
     Render(Box<commands::render::RenderArgs>),
     Export(Box<commands::export::ExportArgs>),
     Simulate(Box<commands::simulate::SimulateArgs>),
+    #[cfg(feature = "drive")]
+    Drive(Box<commands::drive::DriveArgs>),
     Splat(commands::splat::SplatArgs),
     Convert(commands::convert::ConvertArgs),
     Templates(commands::templates::TemplatesArgs),
@@ -65,6 +67,8 @@ impl Command {
             Self::Render(args) => commands::render::run(*args),
             Self::Export(args) => commands::export::run(&args),
             Self::Simulate(args) => commands::simulate::run(*args),
+            #[cfg(feature = "drive")]
+            Self::Drive(args) => commands::drive::run(&args),
             Self::Splat(args) => commands::splat::run(args),
             Self::Convert(args) => commands::convert::run(args),
             Self::Templates(args) => commands::templates::run(&args),

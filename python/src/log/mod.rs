@@ -120,6 +120,12 @@ impl Log {
         self.inner.recording().gaps.iter().map(ToString::to_string).collect()
     }
 
+    /// Arguments with which commands open this log: its name, and options that are not the default.
+    #[getter]
+    fn arguments(&self) -> Vec<String> {
+        std::iter::once(self.text.clone()).chain(self.locator.arguments()).collect()
+    }
+
     /// Name of the scene, which identifies the log in skeletons.
     #[getter]
     fn name(&self) -> &str {

@@ -3,6 +3,8 @@
 pub(super) mod bench;
 pub(super) mod build;
 pub(super) mod convert;
+#[cfg(feature = "drive")]
+pub(super) mod drive;
 pub(super) mod evaluate;
 pub(super) mod export;
 #[cfg(feature = "town")]

@@ -1,0 +1,62 @@
+#!/usr/bin/env bash
+# Tests the live page in a browser: ci/live.sh PSKEL LOG SKELETON [PICTURES]
+#
+# PSKEL is the program, LOG a log and SKELETON its skeleton. Headless Chromium opens the page that `pskel drive` serves, with
+# #selftest: keyboard and mouse visit all maps, move the ego, pick, hide, drive, save, and lose the connection. Then it does
+# random things with #random. Screenshots are written to the folder PICTURES, if given. SIZE (default 64x112: programs
+# without optimization are slow) is the size of the maps in the test, `full` keeps the usual one; MOVES (default 150) is the
+# number of random things. Chromium is installed with apt if it is missing.
+set -euo pipefail
+
+say() { echo "live: $*" >&2; }
+
+if [ $# -lt 3 ] || [ $# -gt 4 ]; then
+    say "expected PSKEL LOG SKELETON [PICTURES], found $# arguments"
+    exit 2
+fi
+program=$1 log=$2 skeleton=$3 pictures=${4:-}
+scratch=$(mktemp -d)
+server=
+stop() {
+    [ -z "$server" ] || kill "$server" 2>/dev/null || true
+    [ -z "$server" ] || wait "$server" 2>/dev/null || true
+    rm -rf "$scratch"
+}
+trap stop EXIT
+. "$(dirname "$0")/browser.sh"
+
+"$program" drive "$log" --skeleton "$skeleton" --out "$scratch/drives" --port 0 --no-browser >"$scratch/url" 2>"$scratch/log" &
+server=$!
+for _ in $(seq 600); do
+    [ -s "$scratch/url" ] && break
+    kill -0 "$server" 2>/dev/null || { say "the server ended:"; cat "$scratch/log" >&2; exit 1; }
+    sleep 0.1
+done
+url=$(cat "$scratch/url")
+
+# Opens the page with a hash, and compares what it says of itself.
+visit() {
+    local size=$1 hash=$2 result
+    run "$size" --timeout=280000 --dump-dom "$url#$hash" >"$scratch/dom.html" || true
+    result=$(selftest_text "$scratch/dom.html")
+    case $result in
+    PASS*) say "window $size, $hash: $result" ;;
+    *)
+        say "window $size, $hash: expected PASS, found ${result:-no result}"
+        tail -n 5 "$scratch/log" "$scratch/browser.log" >&2
+        exit 1
+        ;;
+    esac
+}
+
+size=${SIZE:-64x112}
+if [ "$size" = full ]; then visit 1280,720 selftest; else visit 1280,720 "selftest&size=$size"; fi
+visit 1280,720 "random=${MOVES:-150}&seed=1"
+kill -0 "$server" || { say "the server has ended"; exit 1; }
+
+if [ -n "$pictures" ]; then
+    mkdir -p "$pictures"
+    run 1280,720 --virtual-time-budget=20000 --screenshot="$pictures/live.png" "$url"
+    run 1280,720 --virtual-time-budget=20000 --blink-settings=preferredColorScheme=0 --screenshot="$pictures/live-dark.png" "$url"
+    say "screenshots in $pictures"
+fi
