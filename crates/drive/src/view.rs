@@ -21,7 +21,7 @@ pub(crate) const SIZE: ImageSize = ImageSize { height: 256, width: 448 };
 /// Maximum number of pixels of a map: a recorded image, and a bit.
 const MAX_PIXELS: u64 = 1 << 22;
 /// Maximum number of maps that a page shows of a camera.
-const MAX_MAPS: usize = 4;
+const MAX_MAPS: usize = 7;
 /// Maximum number of hidden actors.
 const MAX_HIDDEN: usize = 1000;
 
@@ -407,7 +407,7 @@ mod tests {
                 "expected the maps color, depth, class, instance, boxes, map or recorded",
             ),
             (r#"{"maps": ["map"]}"#, "no HD map"),
-            (r#"{"maps": []}"#, "1 to 4 maps"),
+            (r#"{"maps": []}"#, "1 to 7 maps"),
             (r#"{"maps": {"C": ["color"]}}"#, "a camera of A, B, found \"C\""),
             (r#"{"size": [1, 100]}"#, "found 1x100"),
             (r#"{"size": [60000, 60000]}"#, "found 60000x60000"),
