@@ -19,7 +19,7 @@ fn main() {
     let seconds: u64 = arguments.next().map_or(10, |text| text.parse().unwrap());
     let speed: f64 = arguments.next().map_or(1.0, |text| text.parse().unwrap());
     let (mut socket, _) = connect(url.replacen("http", "ws", 1).replace("/?", "/live?")).unwrap();
-    let mut send = |socket: &mut tungstenite::WebSocket<_>, message: Value| {
+    let send = |socket: &mut tungstenite::WebSocket<_>, message: Value| {
         socket.send(Message::text(message.to_string())).unwrap();
     };
     let begin = Instant::now();
@@ -65,7 +65,7 @@ fn main() {
             pressed.insert(number, Instant::now());
         }
     }
-    let mut quantile = |values: &mut Vec<f64>, q: f64| {
+    let quantile = |values: &mut Vec<f64>, q: f64| {
         values.sort_by(f64::total_cmp);
         values
             .get(((values.len() as f64 * q) as usize).min(values.len().saturating_sub(1)))

@@ -157,7 +157,7 @@ impl<'a> Live<'a> {
 
     /// Returns the committed state.
     pub(super) fn instant(&self) -> &Instant {
-        *self.simulation.committed().get()
+        self.simulation.committed().get()
     }
 
     /// Returns the states from the takeover on.
