@@ -67,7 +67,10 @@ fn a_log_without_a_table_opens() {
     std::fs::remove_file(made.path(MAP)).unwrap();
     assert!(made.open().unwrap().read_map().unwrap().is_none());
     std::fs::remove_file(made.path(SYNC)).unwrap();
-    made.refuses(&["expected a log (a folder with sync.arrow)", "found neither"], "/2026.01.02.made");
+    made.refuses(
+        &["expected a log (a folder with sync.arrow)", "found tables without sync.arrow"],
+        "/2026.01.02.made",
+    );
 }
 
 /// Opens a log and reads its map.
