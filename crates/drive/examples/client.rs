@@ -1,7 +1,8 @@
 //! Drives by the messages of the live page and measures it:
 //! `cargo run --release -p pskel-drive --example client -- URL [SECONDS] [SPEED]`, with the address that
-//! `pskel drive` prints. Prints frames per second, the time from a key to the first picture that follows it, and the
-//! server's own times. SPEED (times the real time, default 1) above 1 shows how many frames are possible.
+//! `pskel drive` prints. Prints frames per second, the time from a key to the first picture that follows it,
+//! and the server's own times. SPEED (times the real time, default 1) above 1 shows how many frames are
+//! possible.
 #![allow(clippy::print_stdout, clippy::unwrap_used)] // a program for measurements
 
 use std::collections::BTreeMap;
@@ -74,7 +75,8 @@ fn main() {
     };
     let elapsed = begin.elapsed().as_secs_f64();
     println!(
-        "{frames} frames in {elapsed:.1} s: {:.1} a second, {:.0} kB each, first after {:.0} ms; steps {:?} to {:?}",
+        "{frames} frames in {elapsed:.1} s: {:.1} a second, {:.0} kB each, first after {:.0} ms; steps {:?} to \
+         {:?}",
         frames as f64 / elapsed,
         bytes as f64 / 1e3 / frames.max(1) as f64,
         first.unwrap_or_default().as_secs_f64() * 1e3,
@@ -82,7 +84,8 @@ fn main() {
         steps[1],
     );
     println!(
-        "key to picture: median {:.0} ms, p99 {:.0} ms of {}; drawing {:.1} ms, encoding {:.1} ms (medians); {counts}",
+        "key to picture: median {:.0} ms, p99 {:.0} ms of {}; drawing {:.1} ms, encoding {:.1} ms (medians); \
+         {counts}",
         quantile(&mut latencies.clone(), 0.5),
         quantile(&mut latencies.clone(), 0.99),
         latencies.len(),

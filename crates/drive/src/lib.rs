@@ -33,8 +33,9 @@ use crate::server::Gate;
 /// Reports progress while log and skeleton are opened: what is done, and how many steps of how many.
 pub type Progress<'p> = dyn Fn(&str, usize, usize) + Sync + 'p;
 
-/// Serves a live page until `stop` is set. The page is there at once; `open` opens log and skeleton meanwhile,
-/// and its progress is shown. `ready` is called with the address of the page, which contains a secret token.
+/// Serves a live page until `stop` is set. The page is there at once; `open` opens log and skeleton
+/// meanwhile, and its progress is shown. `ready` is called with the address of the page, which contains a
+/// secret token.
 ///
 /// # Errors
 /// Fails if the address cannot be listened on, if `open` fails, or if rendering fails.

@@ -114,8 +114,8 @@ pub fn draw_map(
     (size, canvas.pixels)
 }
 
-/// Returns one map of one camera in the colors of the sheet, at its own size; `None` if the camera has no such
-/// map.
+/// Returns one map of one camera in the colors of the sheet, at its own size; `None` if the camera does not
+/// have it.
 pub fn picture(camera: &CameraConditions, kind: MapKind, bins: &DepthBins) -> Option<Vec<[u8; 3]>> {
     let size = camera.size();
     let tile = Tile { camera, corner: [0, 0], size, to: size, bins: OnceCell::new() };

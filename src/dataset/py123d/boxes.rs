@@ -145,8 +145,8 @@ impl Reader<'_> {
         Ok(())
     }
 
-    /// Counts frames whose boxes have another time, which are taken as they are: `sync` names the next row of a
-    /// table that has none at the time of the frame.
+    /// Counts frames whose boxes have another time, which are taken as they are: `sync` names the next row of
+    /// a table that has none at the time of the frame.
     fn note_times(
         &mut self,
         table: &Table,

@@ -60,7 +60,10 @@ pub enum BuildError {
         points: usize,
     },
     /// The logs do not share a location, or one occurs twice.
-    #[error("expected logs of one place with different names, found {} (name and place of each)", printable(&found.join(", ")))]
+    #[error(
+        "expected logs of one place with different names, found {} (name and place of each)",
+        printable(&found.join(", "))
+    )]
     Places {
         /// Name and location of each log.
         found: Vec<String>,

@@ -88,8 +88,8 @@ fn one_client_drives_and_others_watch() {
     first.frame_with(|header| header["t_s"] == 0.0);
 }
 
-/// A client that acknowledges nothing gets two frames, and neither the simulation nor another client waits for
-/// it.
+/// A client that acknowledges nothing gets two frames, and neither the simulation nor another client waits
+/// for it.
 #[test]
 fn a_slow_client_slows_nothing() {
     let server = Server::start();

@@ -161,9 +161,9 @@ fn argoverse_has_the_pose_at_the_time_of_the_sweep() {
     );
 }
 
-/// PandaSet converted by py123d, and the copy of the same drive in the layout of nuScenes: another global frame,
-/// times of sweeps at their end, one box for an object that was labeled once per LiDAR, and boxes that face as
-/// they move: those of py123d face backward.
+/// PandaSet converted by py123d, and the copy of the same drive in the layout of nuScenes: another global
+/// frame, times of sweeps at their end, one box for an object that was labeled once per LiDAR, and boxes that
+/// face as they move: those of py123d face backward.
 #[test]
 fn pandaset_is_the_same_but_for_its_frames() {
     let (Some(reader), Some(clouds)) =
