@@ -250,8 +250,15 @@ impl<'a> Engine<'a> {
                     self.begin(beginning, now)?;
                     self.pace.play(true, now);
                 }
-                self.live()?.press(keys).map_err(|error| with_causes(&error))?;
-                return Ok(()); // the next step shows it
+                let live = self.live()?;
+                let (by, has_ended) = (live.by, live.ended.is_some());
+                live.press(keys).map_err(|error| with_causes(&error))?;
+                if live.by == by {
+                    return Ok(()); // the next step shows it
+                }
+                if has_ended {
+                    self.pace.play(true, now); // it was the end of the log that paused
+                }
             }
             Command::Play { playing, speed } => {
                 if let Some(speed) = speed {

@@ -86,7 +86,6 @@ fn the_log_ends_and_a_person_drives_on() {
     let end = client.frame_with(|header| !header["ended"].is_null()).header;
     assert_eq!((&end["step"], &end["playing"]), (&json!(20), &json!(false)));
     client.send(&json!({"type": "keys", "throttle": 0.5}));
-    client.send(&json!({"type": "play", "playing": true}));
     let on = client.frame_with(|header| header["step"].as_u64() > Some(25)).header;
     assert_eq!((&on["by"], &on["ended"], &on["takeover"]), (&json!("person"), &Value::Null, &json!(20)));
     // Back on the recorded path there is none.
