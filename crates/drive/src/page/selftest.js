@@ -44,8 +44,11 @@ function expect(holds, text) {
 
 const sleep = (ms) => new Promise((done) => setTimeout(done, ms));
 
+let patience = 1; // limits are multiplied by it
+
 /** Waits until a condition holds; a failure names it. */
-async function until(condition, text, limitMs = 10000) {
+async function until(condition, text, limit = 10000) {
+  const limitMs = limit * patience;
   const end = performance.now() + limitMs;
   while (!condition()) {
     expect(performance.now() < end, `${text}: not within ${limitMs / 1000} s`);
@@ -61,7 +64,8 @@ on("frame", () => {
 });
 
 /** Resolves with the time at which a frame that fulfils the condition was drawn. */
-function frameWith(condition, text, limitMs = 10000) {
+function frameWith(condition, text, limit = 10000) {
+  const limitMs = limit * patience;
   return new Promise((done, fail) => {
     const timeout = setTimeout(() => fail(new Error(`${text}: not within ${limitMs / 1000} s`)), limitMs);
     frameWaits.push((now) => {
@@ -141,6 +145,7 @@ export async function selfTest(size = null) {
   expect(document.querySelectorAll(".cell").length === cameras.length, "a cell per camera");
   if (!state.youDrive) { byId("take").click(); await until(() => state.youDrive, "this page drives"); }
   if (size) {
+    patience = 6;
     send("view", { size });
     await until(() => state.frame.images?.[0]?.height === size[0], "maps of the wanted size");
   }
