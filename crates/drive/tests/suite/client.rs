@@ -16,7 +16,6 @@ use pskel_sim::Rates;
 use pskel_testing::six_cameras;
 use serde_json::{Value, json};
 use tungstenite::client::IntoClientRequest;
-use tungstenite::http::Response;
 use tungstenite::{Message, WebSocket, client};
 
 /// Time in which a message must come.
@@ -89,7 +88,7 @@ impl Server {
         &self,
         path: &str,
         headers: &[(&str, &str)],
-    ) -> Result<(WebSocket<TcpStream>, Response<Option<Vec<u8>>>), tungstenite::Error> {
+    ) -> Result<WebSocket<TcpStream>, tungstenite::Error> {
         let stream = TcpStream::connect(&self.address).unwrap();
         stream.set_read_timeout(Some(PATIENCE)).unwrap();
         let mut request = format!("ws://{}{path}", self.address).into_client_request().unwrap();
@@ -97,7 +96,7 @@ impl Server {
             let name: tungstenite::http::HeaderName = name.parse().unwrap();
             request.headers_mut().insert(name, value.parse().unwrap());
         }
-        client(request, stream).map_err(|error| match error {
+        client(request, stream).map(|(socket, _)| socket).map_err(|error| match error {
             tungstenite::HandshakeError::Failure(error) => error,
             tungstenite::HandshakeError::Interrupted(_) => panic!("interrupted"),
         })
@@ -105,7 +104,7 @@ impl Server {
 
     /// Connects a client.
     pub(crate) fn connect(&self) -> Client {
-        let (socket, _) = self.ask(&format!("/live?token={}", self.token), &[]).unwrap();
+        let socket = self.ask(&format!("/live?token={}", self.token), &[]).unwrap();
         let mut client = Client { socket, hello: Value::Null, texts: Vec::new() };
         client.hello = client.text("hello");
         client
