@@ -53,9 +53,9 @@ fn skeleton_maps_and_rollout_have_their_recorded_hashes() {
 
 const RECORDED: [(&str, u64); 6] = [
     ("skeleton", 0xff8d_68cf_daf5_c0b2),
-    ("png", 0x9cf6_9830_1bac_b841),
-    ("png --out-size 16x24", 0x6055_c180_e85b_4663),
-    ("npz", 0x1f26_2358_605c_6a3c),
-    ("npz --out-size 16x24", 0xb2d7_cebe_1b50_109d),
+    ("png", 0x7adc_d26b_5ef5_2243),
+    ("png --out-size 16x24", 0x691f_0dc9_57d7_7688),
+    ("npz", 0xfca2_afa0_4dfb_185d),
+    ("npz --out-size 16x24", 0x1d8d_8113_dddd_dd6d),
     ("rollout", 0xe123_1a8c_b435_ceb1),
 ];
