@@ -75,8 +75,8 @@ fn main() {
     };
     let elapsed = begin.elapsed().as_secs_f64();
     println!(
-        "{frames} frames in {elapsed:.1} s: {:.1} a second, {:.0} kB each, first after {:.0} ms; steps {:?} to \
-         {:?}",
+        "{frames} frames in {elapsed:.1} s: {:.1} a second, {:.0} kB each, first after {:.0} ms; \
+         steps {:?} to {:?}",
         frames as f64 / elapsed,
         bytes as f64 / 1e3 / frames.max(1) as f64,
         first.unwrap_or_default().as_secs_f64() * 1e3,

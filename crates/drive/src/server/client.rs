@@ -73,7 +73,9 @@ impl Client<'_> {
             tokio::select! {
                 message = self.socket.recv() => self.receive(message.ok_or(Gone)?.map_err(|_| Gone)?).await?,
                 note = notes.recv() => match note {
-                    Ok(note) if note.to.is_none_or(|to| to == self.id) => self.send(Message::Text(note.text)).await?,
+                    Ok(note) if note.to.is_none_or(|to| to == self.id) => {
+                        self.send(Message::Text(note.text)).await?;
+                    }
                     Ok(_) | Err(RecvError::Lagged(_)) => {}
                     Err(RecvError::Closed) => return Err(Gone),
                 },
