@@ -2,9 +2,10 @@
 
 use std::collections::BTreeMap;
 use std::path::Path;
-use std::sync::Mutex;
+use std::sync::{Arc, Mutex};
 use std::time::Instant;
 
+use image::RgbImage;
 use jpeg_encoder::{ColorType, Encoder as JpegEncoder};
 use point_skeleton::MapOptions;
 use point_skeleton::conditions::birdseye::{self, BirdseyeOptions, Trace};
@@ -18,10 +19,11 @@ use point_skeleton::scene::{GroundTruthImages, SceneState};
 use pskel_eval::compare_filled;
 use rayon::prelude::*;
 
+use crate::engine::Generated;
 use crate::frame::{Header, ImageHeader, packed};
 use crate::hub::Hub;
 use crate::message::ServerMessage;
-use crate::view::{Codec, RECORDED, Shown, View};
+use crate::view::{Codec, GENERATED, RECORDED, Shown, View};
 
 /// JPEG quality of maps.
 const QUALITY: u8 = 80;
@@ -38,6 +40,8 @@ pub(crate) struct Drawn {
     pub(crate) traces: Vec<Trace>,
     /// Whether the actors are those of the log.
     pub(crate) actors_follow_log: bool,
+    /// Newest generated images.
+    pub(crate) generated: Option<Arc<Generated>>,
 }
 
 /// Pixels of an image.
@@ -58,6 +62,7 @@ type Key = (String, i64, [u32; 2]);
 enum Job<'d> {
     Map(&'d CameraConditions, MapKind),
     Recorded(&'d str, Pixels),
+    Generated(&'d str, &'d RgbImage),
     Birdseye(BirdseyeOptions),
 }
 
@@ -80,7 +85,7 @@ impl<'a> Encoder<'a> {
     /// Returns the error of a recorded image or of an encoder.
     pub(crate) fn encode(&self, drawn: Drawn) -> Result<(u64, Vec<u8>), String> {
         let start = Instant::now();
-        let Drawn { mut header, state, set, view, options, traces, actors_follow_log } = drawn;
+        let Drawn { mut header, state, set, view, options, traces, actors_follow_log, generated } = drawn;
         let size = view.image_size();
         let mut recorded = self.recorded(&state, &view, size, actors_follow_log, &options)?;
         for camera in &set.cameras {
@@ -92,7 +97,8 @@ impl<'a> Encoder<'a> {
             }
         }
         let mut jobs = Vec::new();
-        for camera in &state.cameras {
+        let generated = generated.as_ref().map_or(&[][..], |generated| &generated.images.images);
+        for (index, camera) in state.cameras.iter().enumerate() {
             let name = camera.view.camera.name.as_str();
             let maps = set.cameras.iter().find(|maps| maps.name == camera.view.camera.name);
             for shown in view.shown(name) {
@@ -100,6 +106,9 @@ impl<'a> Encoder<'a> {
                     Shown::Map(kind) => jobs.extend(maps.map(|maps| Job::Map(maps, *kind))),
                     Shown::Recorded => {
                         jobs.extend(recorded.remove(name).map(|pixels| Job::Recorded(name, pixels)))
+                    }
+                    Shown::Generated => {
+                        jobs.extend(generated.get(index).map(|image| Job::Generated(name, image)))
                     }
                 }
             }
@@ -198,6 +207,14 @@ impl Job<'_> {
                 (maps.name.as_str(), kind.name(), maps.size(), view.codec, bytes)
             }
             Self::Recorded(camera, pixels) => (*camera, RECORDED, size, Codec::Jpeg, jpeg(pixels, size)?),
+            Self::Generated(camera, image) => {
+                let size = ImageSize { height: image.height(), width: image.width() };
+                let bytes = match view.codec {
+                    Codec::Png => image_png(image)?,
+                    Codec::Jpeg => jpeg(image.as_raw().as_chunks().0, size)?,
+                };
+                (*camera, GENERATED, size, view.codec, bytes)
+            }
             Self::Birdseye(birdseye) => {
                 let (size, pixels) = birdseye::draw_with(state, traces, birdseye);
                 ("", BIRDSEYE, size, Codec::Jpeg, jpeg(&pixels, size)?)
@@ -216,6 +233,14 @@ pub(crate) fn map_png(
     let name = format!("{}/{}.png", camera.name, kind.name());
     let bytes = png::encode_map(Path::new(&name), camera, kind, &options.conditions.depth_bins);
     bytes.map_err(|error| with_causes(&error))
+}
+
+/// Returns the PNG file of an image, as a rollout has it.
+pub(crate) fn image_png(image: &RgbImage) -> Result<Vec<u8>, String> {
+    let mut bytes = Vec::new();
+    let encoded = image.write_to(&mut std::io::Cursor::new(&mut bytes), image::ImageFormat::Png);
+    encoded.map_err(|error| format!("an image cannot be encoded: {error}"))?;
+    Ok(bytes)
 }
 
 fn jpeg(pixels: &[[u8; 3]], size: ImageSize) -> Result<Vec<u8>, String> {

@@ -2,6 +2,7 @@
 
 use serde::Serialize;
 
+use crate::engine::GeneratedHeader;
 use crate::message::to_json;
 
 /// Header of a frame.
@@ -45,6 +46,8 @@ pub(crate) struct Header {
     pub(crate) reach_m: Option<f64>,
     /// Durations, milliseconds.
     pub(crate) times_ms: Times,
+    /// State of the generator; `None` if nothing is generated.
+    pub(crate) generated: Option<GeneratedHeader>,
     /// Command that writes the same maps.
     pub(crate) command: String,
 }

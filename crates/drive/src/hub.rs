@@ -8,6 +8,7 @@ use axum::body::Bytes;
 use axum::extract::ws::Utf8Bytes;
 use tokio::sync::{broadcast, watch};
 
+use crate::engine::Made;
 use crate::message::{Command, ServerMessage};
 
 /// Number of messages that a client can be behind before it misses some.
@@ -31,6 +32,8 @@ pub(crate) enum Input {
     Room,
     /// Asks for a map of the present state.
     Picture(Picture),
+    /// Answer of the generator.
+    Generated(Made),
 }
 
 /// Request of a map at the size of the recorded camera.

@@ -22,7 +22,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::channel;
 
-pub use engine::Inputs;
+pub use engine::{Inputs, LiveGenerator, OpenGenerator};
 pub use error::DriveError;
 pub use options::DriveOptions;
 

@@ -2,6 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::engine::Mode;
 use crate::view::ViewChange;
 
 /// Version of the messages; page and server are of one program, and other programs can compare it.
@@ -52,6 +53,11 @@ pub(crate) enum Command {
         /// Number of steps.
         #[serde(default = "one")]
         count: u32,
+    },
+    /// Begins to generate images, or ends it.
+    Generate {
+        /// Whether, and whether the simulation waits.
+        mode: Mode,
     },
     /// Back to the beginning of the simulation.
     Reset {},

@@ -13,7 +13,9 @@ use serde::{Deserialize, Deserializer, Serialize};
 
 /// Name of the recorded image among the maps.
 pub(crate) const RECORDED: &str = "recorded";
-/// Maps that a page can show, without [`RECORDED`].
+/// Name of the generated image among the maps.
+pub(crate) const GENERATED: &str = pskel_sim::report::images::GENERATED;
+/// Maps that a page can show, without [`RECORDED`] and [`GENERATED`].
 pub(crate) const KINDS: [MapKind; 6] =
     [MapKind::Color, MapKind::Depth, MapKind::Class, MapKind::Instance, MapKind::Boxes, MapKind::Map];
 /// Size of the maps if the page wants no other.
@@ -21,7 +23,7 @@ pub(crate) const SIZE: ImageSize = ImageSize { height: 256, width: 448 };
 /// Maximum number of pixels of a map: a recorded image, and a bit.
 const MAX_PIXELS: u64 = 1 << 22;
 /// Maximum number of maps that a page shows of a camera.
-const MAX_MAPS: usize = 7;
+const MAX_MAPS: usize = 8;
 /// Maximum number of hidden actors.
 const MAX_HIDDEN: usize = 1000;
 
@@ -91,6 +93,17 @@ pub(crate) enum Shown {
     Map(MapKind),
     /// Recorded image.
     Recorded,
+    /// Generated image.
+    Generated,
+}
+
+/// What there is beside the maps of every log.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct Offered {
+    /// Whether the log has an HD map.
+    pub(crate) map: bool,
+    /// Whether there is a generator.
+    pub(crate) generator: bool,
 }
 
 /// Change of a view; fields that are not given stay.
@@ -134,6 +147,7 @@ impl Shown {
         match self {
             Self::Map(kind) => kind.name(),
             Self::Recorded => RECORDED,
+            Self::Generated => GENERATED,
         }
     }
 }
@@ -148,13 +162,10 @@ impl FromStr for Shown {
     type Err = String;
 
     fn from_str(name: &str) -> Result<Self, String> {
-        if name == RECORDED {
-            return Ok(Self::Recorded);
-        }
-        let known = KINDS.into_iter().find(|kind| kind.name() == name);
-        known.map(Self::Map).ok_or_else(|| {
-            let names: Vec<&str> = KINDS.iter().map(|kind| kind.name()).collect();
-            format!("expected the maps {} or {RECORDED}, found {name:?}", names.join(", "))
+        let all = KINDS.map(Self::Map).into_iter().chain([Self::Recorded, Self::Generated]);
+        all.clone().find(|shown| shown.name() == name).ok_or_else(|| {
+            let names: Vec<&str> = all.map(Self::name).collect();
+            format!("expected the maps {}, found {name:?}", names.join(", "))
         })
     }
 }
@@ -193,10 +204,10 @@ impl View {
         &self,
         change: ViewChange,
         cameras: &[&str],
-        has_map: bool,
+        offered: Offered,
     ) -> Result<Self, String> {
         let mut view = self.clone();
-        let parsed = |names: Vec<String>| shown(&names, has_map);
+        let parsed = |names: Vec<String>| shown(&names, offered);
         match change.maps {
             Some(MapChoice::All(names)) => (view.maps, view.cameras) = (parsed(names)?, BTreeMap::new()),
             Some(MapChoice::Of(choices)) => {
@@ -269,7 +280,7 @@ impl View {
         let shown = cameras.iter().flat_map(|camera| self.shown(camera));
         let kinds = shown.filter_map(|shown| match shown {
             Shown::Map(kind) => Some(*kind),
-            Shown::Recorded => None,
+            Shown::Recorded | Shown::Generated => None,
         });
         MapSet::of(&kinds.collect::<Vec<_>>())
     }
@@ -351,13 +362,16 @@ impl View {
 }
 
 /// Parses names of maps.
-fn shown(names: &[String], has_map: bool) -> Result<Vec<Shown>, String> {
+fn shown(names: &[String], offered: Offered) -> Result<Vec<Shown>, String> {
     if names.is_empty() || names.len() > MAX_MAPS {
         return Err(format!("expected 1 to {MAX_MAPS} maps of a camera, found {}", names.len()));
     }
     let shown: Vec<Shown> = names.iter().map(|name| name.parse()).collect::<Result<_, _>>()?;
-    if shown.contains(&Shown::Map(MapKind::Map)) && !has_map {
+    if shown.contains(&Shown::Map(MapKind::Map)) && !offered.map {
         return Err("expected maps without \"map\": the log has no HD map".to_owned());
+    }
+    if shown.contains(&Shown::Generated) && !offered.generator {
+        return Err("expected maps without \"generated\": start with --generator".to_owned());
     }
     Ok(shown)
 }
@@ -382,7 +396,7 @@ mod tests {
     }
 
     fn changed(json: &str) -> Result<View, String> {
-        View::default().changed(change(json), &["A", "B"], false)
+        View::default().changed(change(json), &["A", "B"], Offered::default())
     }
 
     #[test]
@@ -392,7 +406,9 @@ mod tests {
         assert_eq!(view.shown("A"), [Shown::Map(MapKind::Color)]);
         assert_eq!(view.shown("B"), [Shown::Map(MapKind::Depth), Shown::Recorded]);
         assert_eq!(view.kinds(&["A", "B"]), MapSet::of(&[MapKind::Color, MapKind::Depth]));
-        let other = view.changed(change(r#"{"maps": ["class"], "birdseye": null}"#), &["A"], false).unwrap();
+        let other = view
+            .changed(change(r#"{"maps": ["class"], "birdseye": null}"#), &["A"], Offered::default())
+            .unwrap();
         assert_eq!((other.shown("B"), other.birdseye), (&[Shown::Map(MapKind::Class)][..], None));
         assert_eq!(other.splat, "10:3,50:0");
         let arguments = other.arguments(other.kinds(&["A"])).join(" ");

@@ -5,7 +5,6 @@ use std::sync::Arc;
 
 use point_skeleton::conditions::FrameCaptions;
 use point_skeleton::conditions::tensor::{LAYOUT_CHANNELS, POINT_CHANNELS};
-use point_skeleton::conditions::write::meta::PromptParts;
 use point_skeleton::dataset::Recording;
 use point_skeleton::geometry::ImageSize;
 use point_skeleton::memory::{MemoryError, Need, reserve};
@@ -88,7 +87,7 @@ impl Default for GeneratorSettings {
 /// A network that is ready to generate.
 pub struct OpenedNetwork {
     denoiser: AnyDenoiser,
-    codec: Box<dyn Codec>,
+    codec: Box<dyn Codec + Send>,
     recipe: Recipe,
     size: ImageSize,
     options: GenerateOptions,
@@ -124,8 +123,8 @@ pub struct GenerationScene<'a> {
     pub log: &'a Recording,
     /// HD map of the log.
     pub map: Option<Arc<SceneMap>>,
-    /// Parts of the prompt.
-    pub prompt: &'a PromptParts,
+    /// Prompt of the log; empty without one.
+    pub prompt: String,
     /// Captions by time, in place of the prompt.
     pub captions: Option<FrameCaptions>,
     /// Source of the reference images.
@@ -307,8 +306,7 @@ impl OpenedNetwork {
     /// # Errors
     /// Fails if codec and network differ in latent shape.
     pub fn session<'a>(self, scene: &GenerationScene<'a>) -> Result<Session<'a>, SessionError> {
-        let prompt = scene.prompt.prompt().unwrap_or_default();
-        let conditioner = Conditioner::new(scene.log, scene.map.clone(), &self.recipe, &prompt)
+        let conditioner = Conditioner::new(scene.log, scene.map.clone(), &self.recipe, &scene.prompt)
             .with_captions(scene.captions.clone())
             .without(self.without);
         let parts = SessionParts {

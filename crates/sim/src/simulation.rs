@@ -272,10 +272,15 @@ impl<'a> Simulation<'a> {
     /// plan and the actors follow their policy; before the first plan the log is used. Returns fewer if the
     /// log ends.
     pub fn forecast(&self, plan_steps: usize) -> Vec<Forecast<Instant>> {
+        self.forecast_every(self.clock.steps_per_plan, plan_steps)
+    }
+
+    /// Predicts as [`Simulation::forecast`] does, but `count` instants that are `steps` simulation steps apart.
+    pub fn forecast_every(&self, steps: usize, count: usize) -> Vec<Forecast<Instant>> {
         let mut expected = self.committed.world.get().clone();
         let mut forecast = Vec::new();
-        for _ in 0..plan_steps {
-            for _ in 0..self.clock.steps_per_plan {
+        for _ in 0..count {
+            for _ in 0..steps {
                 let Some(next) = self.expect(&expected) else { return forecast };
                 expected = next;
             }

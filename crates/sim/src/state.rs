@@ -1,5 +1,7 @@
+use std::collections::BTreeSet;
+
 use glam::{DVec2, DVec3};
-use point_skeleton::dataset::{TrackBox, TrafficLight};
+use point_skeleton::dataset::{Recording, TrackBox, TrafficLight};
 use point_skeleton::geometry::{Cuboid, Pose};
 
 /// Simulated past: a committed state, or a value derived from committed states.
@@ -85,6 +87,17 @@ pub(super) fn ego_cuboid(pose: &Pose) -> Cuboid {
     let center = DVec3::new(REAR_AXLE_TO_CENTER_M, 0.0, EGO_SIZE_M.z / 2.0);
     let pose = Pose { rotation: pose.rotation, translation: pose.transform_point(center) };
     Cuboid { pose, size: EGO_SIZE_M }
+}
+
+impl Instant {
+    /// Returns the instant without the actors of some tracks of its log.
+    #[must_use]
+    pub fn hiding(&self, log: &Recording, tracks: &BTreeSet<String>) -> Self {
+        let is_shown =
+            |actor: &&SimActor| log.tracks.get(actor.track).is_none_or(|track| !tracks.contains(&track.id));
+        let actors = self.actors.iter().filter(is_shown).copied().collect();
+        Self { step: self.step, t_us: self.t_us, ego: self.ego, actors, lights: self.lights.clone() }
+    }
 }
 
 impl EgoState {

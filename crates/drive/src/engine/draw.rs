@@ -11,11 +11,11 @@ use point_skeleton::scene::SceneState;
 use pskel_sim::ActorPolicy;
 
 use super::{Desk, Engine, Stage, command, live, look};
-use crate::encode::{Drawn, map_png};
+use crate::encode::{Drawn, image_png, map_png};
 use crate::error::DriveError;
 use crate::frame::{Actor, Event, Header, Offset, Times};
 use crate::message::ServerMessage;
-use crate::view::{Codec, KINDS};
+use crate::view::{Codec, GENERATED, KINDS};
 
 /// Colors of the recorded and the driven path in the bird's-eye view.
 const PATHS: [[u8; 4]; 2] = [[150, 160, 182, 150], [64, 196, 255, 230]];
@@ -51,7 +51,11 @@ impl Engine<'_> {
         } && self.view.hide.is_empty();
         let header = self.header(&state, draw_s);
         let (traces, view) = (self.traces(), self.view.clone());
-        let drawn = Drawn { header, state, set, view, options, traces, actors_follow_log };
+        let generated = match &self.stage {
+            Stage::Live(_) => self.generation.latest(),
+            Stage::Look(_) => None,
+        };
+        let drawn = Drawn { header, state, set, view, options, traces, actors_follow_log, generated };
         desk.sender.send(drawn).map_err(|_| DriveError::Encoder)
     }
 
@@ -62,6 +66,12 @@ impl Engine<'_> {
         map: &str,
         desk: &mut Desk<'_, '_>,
     ) -> Result<Vec<u8>, String> {
+        if map == GENERATED {
+            let at = self.cameras.iter().position(|name| *name == camera);
+            let latest = self.generation.latest();
+            let image = at.and_then(|at| latest.as_ref()?.images.images.get(at));
+            return image_png(image.ok_or_else(|| format!("no image of camera {camera:?} is generated"))?);
+        }
         let kind = KINDS.into_iter().find(|kind| kind.name() == map);
         let kind = kind.ok_or_else(|| format!("expected a map, found {map:?}"))?;
         let mut state = self.state()?;
@@ -79,6 +89,10 @@ impl Engine<'_> {
         let log = self.inputs.log.recording();
         let first_us = log.frames.first().map_or(0, |frame| frame.t_us);
         let command = self.command();
+        let generated = match &self.stage {
+            Stage::Live(_) => self.generation.header(state.t_us, first_us),
+            Stage::Look(_) => None,
+        };
         let actors = match self.view.birdseye {
             Some(birdseye) => actors_around(state, birdseye.reach_m),
             None => Vec::new(),
@@ -122,6 +136,7 @@ impl Engine<'_> {
             actors,
             reach_m: self.view.birdseye.map(|birdseye| birdseye.reach_m),
             times_ms: Times { step: 1e3 * self.step_s, draw: 1e3 * draw_s, encode: 0.0 },
+            generated,
             command,
         }
     }
@@ -145,7 +160,9 @@ impl Engine<'_> {
         }
         let (name, mut own) = match &self.stage {
             Stage::Look(look) => ("render", look.arguments()),
-            Stage::Live(live) => ("simulate", live.arguments(&self.trajectory_path().display().to_string())),
+            Stage::Live(live) => {
+                ("simulate", self.drive_arguments(live, &self.trajectory_path().display().to_string()))
+            }
         };
         own.extend(self.view.arguments(kinds));
         if let Some(templates) = &self.options.templates {

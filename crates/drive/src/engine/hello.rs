@@ -4,10 +4,10 @@ use std::collections::BTreeMap;
 
 use serde::Serialize;
 
-use super::Engine;
 use super::live::{LOG, PERSON, POLICIES};
+use super::{Engine, Mode};
 use crate::message::{PROTOCOL, to_json};
-use crate::view::{KINDS, RECORDED, View};
+use crate::view::{GENERATED, KINDS, RECORDED, View};
 use point_skeleton::MapKind;
 
 #[derive(Serialize)]
@@ -23,10 +23,19 @@ struct Hello<'a> {
     maps: Vec<&'static str>,
     has_map: bool,
     rates: [f64; 2],
+    generator: Option<GeneratorInfo<'a>>,
     drivers: Vec<&'static str>,
     splat_default: String,
     view: &'a View,
     tracks: Vec<Track<'a>>,
+}
+
+#[derive(Serialize)]
+struct GeneratorInfo<'a> {
+    name: &'a str,
+    hz: f64,
+    references: usize,
+    mode: Mode,
 }
 
 #[derive(Serialize)]
@@ -67,6 +76,7 @@ pub(super) fn hello(engine: &Engine<'_>) -> String {
         width: rig.camera.width,
         height: rig.camera.height,
     });
+    let generated = inputs.generator.as_ref().map(|_| GENERATED);
     to_json(&Hello {
         protocol: PROTOCOL,
         log: &log.name,
@@ -75,8 +85,14 @@ pub(super) fn hello(engine: &Engine<'_>) -> String {
         skeleton: inputs.skeleton_path.display().to_string(),
         frames_us: log.frames.iter().map(|frame| frame.t_us).collect(),
         cameras: rig.collect(),
-        maps: kinds.map(MapKind::name).chain([RECORDED]).collect(),
+        maps: kinds.map(MapKind::name).chain([RECORDED]).chain(generated).collect(),
         has_map,
+        generator: inputs.generator.as_ref().map(|generator| GeneratorInfo {
+            name: &generator.name,
+            hz: generator.hz,
+            references: generator.window - 1,
+            mode: engine.generation.mode,
+        }),
         rates: [inputs.rates.sim_hz, inputs.rates.plan_hz],
         drivers: [LOG, PERSON].into_iter().chain(POLICIES.iter().map(|kind| kind.name())).collect(),
         splat_default: View::default().splat,

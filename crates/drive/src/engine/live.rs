@@ -50,6 +50,8 @@ pub(super) struct Live<'a> {
     simulation: Simulation<'a>,
     pub(super) beginning: Beginning,
     pub(super) by: By,
+    /// Who gets the wheel as soon as the log may give it away.
+    wanted: Option<By>,
     wheel: Wheel,
     keys: Keys,
     /// Number of the keys of the last step.
@@ -139,6 +141,7 @@ impl<'a> Live<'a> {
             simulation,
             beginning,
             by: By::Log,
+            wanted: None,
             wheel,
             keys: Keys::default(),
             keys_number: 0,
@@ -155,6 +158,11 @@ impl<'a> Live<'a> {
         })
     }
 
+    /// Returns the simulation.
+    pub(super) fn simulation(&self) -> &Simulation<'a> {
+        &self.simulation
+    }
+
     /// Returns the committed state.
     pub(super) fn instant(&self) -> &Instant {
         self.simulation.committed().get()
@@ -165,24 +173,30 @@ impl<'a> Live<'a> {
         &self.driven
     }
 
-    /// Sets the state of the controls. The first key takes the wheel.
+    /// Sets the state of the controls. The first key takes the wheel, see [`Live::hand_over`].
     ///
     /// # Errors
     /// Fails as [`Live::hand_over`].
-    pub(super) fn press(&mut self, keys: Keys) -> Result<(), SimError> {
-        if !keys.is_idle() && self.by != By::Person {
-            self.hand_over(By::Person)?;
-        }
+    pub(super) fn press(&mut self, keys: Keys, is_allowed: bool) -> Result<(), SimError> {
         self.keys = keys;
+        if !keys.is_idle() && self.by != By::Person {
+            self.hand_over(By::Person, is_allowed)?;
+        }
         Ok(())
     }
 
-    /// Hands the wheel over. The log stays at the wheel before the takeover.
+    /// Hands the wheel over. The log stays at the wheel before the takeover, and until it `is_allowed`:
+    /// [`Live::settle`] hands over then.
     ///
     /// # Errors
     /// Fails if a policy cannot plan.
-    pub(super) fn hand_over(&mut self, by: By) -> Result<(), SimError> {
+    pub(super) fn hand_over(&mut self, by: By, is_allowed: bool) -> Result<(), SimError> {
+        self.wanted = None;
         if by == self.by {
+            return Ok(());
+        }
+        if self.takeover.is_none() && by != By::Log && !is_allowed {
+            self.wanted = Some(by);
             return Ok(());
         }
         if self.takeover.is_none() && by != By::Log {
@@ -210,24 +224,55 @@ impl<'a> Live<'a> {
         Ok(())
     }
 
-    /// Commits the next step. Does nothing where the driver cannot go on, which [`Live::ended`] tells.
+    /// Hands the wheel to the one who waits for it, if that `is_allowed` now.
+    ///
+    /// # Errors
+    /// Fails as [`Live::hand_over`].
+    pub(super) fn settle(&mut self, is_allowed: bool) -> Result<(), SimError> {
+        match self.wanted.filter(|_| is_allowed) {
+            Some(by) => self.hand_over(by, is_allowed),
+            None => Ok(()),
+        }
+    }
+
+    /// Returns whether somebody waits for the wheel.
+    pub(super) fn is_wanted(&self) -> bool {
+        self.wanted.is_some()
+    }
+
+    /// Commits the next step; plans reach `horizon` steps ahead. Does nothing where the driver cannot go on,
+    /// which [`Live::ended`] tells.
     ///
     /// # Errors
     /// Fails if a policy fails.
-    pub(super) fn step(&mut self) -> Result<(), SimError> {
-        if self.takeover.is_some() && self.by != By::Person && !matches!(self.by, By::Policy(_)) {
-            let Some(next) = self.simulation.recorded_waypoint(self.simulation.next_us()) else {
-                self.ended = Some("the log has ended: take the wheel, or reset");
-                return Ok(());
-            };
-            self.simulation.follow_waypoints(vec![next])?;
-        } else if self.by == By::Person {
-            let (now, next_us) = (self.instant(), self.simulation.next_us());
-            let Keys { throttle, brake, steer, number } = self.keys;
-            let (ego, t_us) = (now.ego, now.t_us);
-            let next = self.wheel.drive(&ego, Controls { throttle, brake, steer }, t_us, next_us);
-            self.simulation.follow_waypoints(vec![next])?;
-            self.keys_number = number;
+    pub(super) fn step(&mut self, horizon: usize) -> Result<(), SimError> {
+        match self.by {
+            By::Log if self.takeover.is_some() => {
+                let times = self.times_us(horizon);
+                let recorded = times.map_while(|t_us| self.simulation.recorded_waypoint(t_us));
+                let next: Vec<Waypoint> = recorded.collect();
+                if next.is_empty() {
+                    self.ended = Some("the log has ended: take the wheel, or reset");
+                    return Ok(());
+                }
+                self.simulation.follow_waypoints(next)?;
+            }
+            By::Person => {
+                let Keys { throttle, brake, steer, number } = self.keys;
+                let (controls, now) = (Controls { throttle, brake, steer }, self.instant());
+                // The controls stay as they are, as far as anybody knows.
+                let (ego, t_us) = (now.ego, now.t_us);
+                let driven = |time_us| {
+                    let mut wheel = self.wheel;
+                    let next = wheel.drive(&ego, controls, t_us, time_us);
+                    (wheel, next)
+                };
+                let (wheels, next): (Vec<_>, Vec<_>) = self.times_us(horizon).map(driven).unzip();
+                self.wheel = wheels.first().copied().unwrap_or(self.wheel);
+                self.simulation.follow_waypoints(next)?;
+                self.keys_number = number;
+            }
+            By::Log | By::Policy(_) => {}
         }
         if self.simulation.step()?.is_none() {
             self.ended = self.simulation.ended().map(|reason| match reason {
@@ -243,6 +288,12 @@ impl<'a> Live<'a> {
             self.observe();
         }
         Ok(())
+    }
+
+    /// Returns the times of the next steps, absolute microseconds.
+    fn times_us(&self, count: usize) -> impl Iterator<Item = i64> + use<> {
+        let (next_us, hz) = (self.simulation.next_us(), self.beginning.hz);
+        (0..count).map(move |step| next_us + (1e6 * step as f64 / hz).round() as i64)
     }
 
     /// Notes what happened at the committed step.
@@ -302,30 +353,37 @@ impl<'a> Live<'a> {
         }
     }
 
-    /// Returns the options of the same drive along its trajectory.
+    /// Returns the options of the same drive along its trajectory, with plans `every` steps and a warm-up of
+    /// at least `window` of them.
     ///
     /// # Errors
     /// Fails if the states are no trajectory.
-    pub(super) fn replay_options(&self) -> Result<SimOptions, LocalPathError> {
+    pub(super) fn replay_options(&self, every: usize, window: usize) -> Result<SimOptions, LocalPathError> {
         let steps = self.instant().step;
-        let warmup_frames = self.takeover.unwrap_or(steps) + 1;
+        let warmup_frames = self.warmup(every, window);
         let ego = match self.takeover {
             Some(_) => EgoPolicy::Trajectory(TrajectoryFile::new(self.driven.clone())?),
             None => EgoPolicy::Replay,
         };
-        Ok(SimOptions { steps, warmup_frames, ego, ..self.beginning.options() })
+        let plan_hz = Some(self.beginning.hz / every as f64);
+        Ok(SimOptions { steps, warmup_frames, ego, plan_hz, ..self.beginning.options() })
     }
 
-    /// Returns the arguments of `pskel simulate` for the same drive.
-    pub(super) fn arguments(&self, trajectory: &str) -> Vec<String> {
+    /// Returns the number of planning steps in the warm-up of the same drive.
+    fn warmup(&self, every: usize, window: usize) -> usize {
+        (self.takeover.unwrap_or(self.instant().step) / every + 1).max(window)
+    }
+
+    /// Returns the arguments of `pskel simulate` for the same drive, as [`Live::replay_options`].
+    pub(super) fn arguments(&self, trajectory: &str, every: usize, window: usize) -> Vec<String> {
         let Beginning { hz, actors, start_us } = self.beginning;
         let steps = self.instant().step;
         let mut arguments: Vec<String> = [
             ("--steps", steps.to_string()),
             ("--start", start_us.to_string()),
             ("--sim-hz", hz.to_string()),
-            ("--plan-hz", hz.to_string()),
-            ("--warmup", (self.takeover.unwrap_or(steps) + 1).to_string()),
+            ("--plan-hz", (hz / every as f64).to_string()),
+            ("--warmup", self.warmup(every, window).to_string()),
             ("--actors", actors.to_string()),
         ]
         .into_iter()

@@ -2,6 +2,7 @@
 
 mod command;
 mod draw;
+mod generate;
 mod hello;
 mod live;
 mod look;
@@ -12,7 +13,7 @@ mod save;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, SyncSender, channel, sync_channel};
 use std::time::{Duration, Instant};
 
 use point_skeleton::dataset::EgoTrack;
@@ -20,8 +21,11 @@ use point_skeleton::error::with_causes;
 use point_skeleton::scene::{SceneMap, SceneState};
 use point_skeleton::skeleton::Skeleton;
 use point_skeleton::{Log, RenderOptions, Renderer};
-use pskel_sim::{Rates, Scenario, scene_state};
+use pskel_sim::{ActorPolicy, Rates, Scenario, scene_state};
 
+pub(crate) use self::generate::{Generated, GeneratedHeader, Made, Mode};
+use self::generate::{Generation, Job};
+pub use self::generate::{LiveGenerator, OpenGenerator};
 use self::live::{Beginning, By, Live};
 use self::look::{At, Look};
 use self::pace::{Pace, SPEEDS};
@@ -30,7 +34,7 @@ use crate::error::DriveError;
 use crate::hub::{ClientId, Hub, Input, Picture};
 use crate::message::{Command, ServerMessage, to_json};
 use crate::options::DriveOptions;
-use crate::view::View;
+use crate::view::{Offered, View};
 
 /// Rate at which the log plays when it is looked at, per second.
 const LOOK_HZ: f64 = 20.0;
@@ -53,6 +57,8 @@ pub struct Inputs {
     pub skeleton_path: PathBuf,
     /// Default rates of the log.
     pub rates: Rates,
+    /// Generator of camera images.
+    pub generator: Option<LiveGenerator>,
 }
 
 /// What is shown.
@@ -71,7 +77,10 @@ pub(crate) struct Engine<'a> {
     cameras: Vec<&'a str>,
     view: View,
     stage: Stage<'a>,
+    generation: Generation<'a>,
     pace: Pace,
+    /// Single steps that wait for the generator.
+    owed: u32,
     /// Number of the last frame.
     frame: u64,
     /// Whether the page shows another state or view.
@@ -99,13 +108,16 @@ pub(crate) fn run(
     commands: &Receiver<Input>,
     stop: &AtomicBool,
 ) -> Result<(), DriveError> {
-    let mut engine = Engine::new(inputs, options, hub)?;
+    let (jobs, asked) = channel();
+    let engine = Engine::new(inputs, options, hub, jobs)?;
     hub.set_hello(hello::hello(&engine));
     let encoder = Encoder::new(inputs.log.reader());
     std::thread::scope(|scope| {
         let (sender, drawn) = sync_channel(1);
         let encoder = &encoder;
         scope.spawn(move || drawn.into_iter().for_each(|drawn| encoder.publish(drawn, hub)));
+        scope.spawn(move || generate::work(inputs, options, &asked, hub));
+        let mut engine = engine; // ends before the scope, and with it the thread of the generator
         loop {
             let substitutes = engine.view.substitutes(options.templates.as_deref());
             let (substitutes, report) = substitutes.make(&inputs.skeleton, inputs.log.name())?;
@@ -134,7 +146,12 @@ struct Desk<'d, 'r> {
 }
 
 impl<'a> Engine<'a> {
-    fn new(inputs: &'a Inputs, options: &'a DriveOptions, hub: &'a Hub) -> Result<Self, DriveError> {
+    fn new(
+        inputs: &'a Inputs,
+        options: &'a DriveOptions,
+        hub: &'a Hub,
+        jobs: Sender<Job>,
+    ) -> Result<Self, DriveError> {
         let log = inputs.log.recording();
         if log.frames.is_empty() || log.cameras.is_empty() {
             return Err(DriveError::Nothing { log: log.shown_name().into_owned() });
@@ -148,6 +165,8 @@ impl<'a> Engine<'a> {
             cameras: log.cameras.iter().map(|name| name.as_str()).collect(),
             view: View::default(),
             stage: Stage::Look(Look::default()),
+            generation: Generation::new(inputs.generator.as_ref(), jobs),
+            owed: 0,
             pace: Pace::new(LOOK_HZ, false, Instant::now()),
             frame: 0,
             is_stale: true,
@@ -185,6 +204,7 @@ impl<'a> Engine<'a> {
                         let _ = reply.send(self.picture(&camera, &map, desk)); // the client may have left
                     }
                     Input::Room => {}
+                    Input::Generated(made) => self.is_stale |= self.generation.take(made),
                 }
                 next = commands.try_recv().ok();
             }
@@ -202,6 +222,11 @@ impl<'a> Engine<'a> {
         Scenario { log: self.inputs.log.recording(), map: self.map.clone(), rates: self.inputs.rates }
     }
 
+    /// Returns the message with which a client begins.
+    fn greet(&self) {
+        self.hub.set_hello(hello::hello(self));
+    }
+
     /// Applies a command.
     ///
     /// # Errors
@@ -209,10 +234,22 @@ impl<'a> Engine<'a> {
     fn apply(&mut self, client: ClientId, command: Command, desk: &mut Desk<'_, '_>) -> Result<(), String> {
         let log = self.inputs.log.recording();
         let now = Instant::now();
+        if !matches!(command, Command::View(_) | Command::Pick(_) | Command::Keys(_)) && self.owed > 0 {
+            if let Command::Save { .. } | Command::Trajectory {} = command {
+                return Err(format!("{} steps are still to be simulated: wait, or pause", self.owed));
+            }
+            self.owed = 0;
+        }
         match command {
             Command::View(change) => {
-                self.view = self.view.changed(*change, &self.cameras, self.map.is_some())?;
+                let offered = Offered { map: self.map.is_some(), generator: self.inputs.generator.is_some() };
+                self.view = self.view.changed(*change, &self.cameras, offered)?;
                 self.hub.tell(None, hello::view(&self.view));
+                self.greet();
+            }
+            Command::Generate { mode } => {
+                self.generate(mode, now)?;
+                self.greet();
             }
             Command::Look(change) => {
                 let look = match &self.stage {
@@ -230,8 +267,9 @@ impl<'a> Engine<'a> {
                 self.begin(beginning, now)?;
             }
             Command::Control { by } => {
-                let by = By::from_name(&by)?;
-                self.live()?.hand_over(by).map_err(|error| with_causes(&error))?;
+                let (by, is_allowed) = (By::from_name(&by)?, self.allows_takeover());
+                self.live()?.hand_over(by, is_allowed).map_err(|error| with_causes(&error))?;
+                self.tell_who_waits();
             }
             Command::Keys(keys) => {
                 if let Stage::Look(_) = self.stage {
@@ -242,10 +280,14 @@ impl<'a> Engine<'a> {
                     self.begin(beginning, now)?;
                     self.pace.play(true, now);
                 }
+                let is_allowed = self.allows_takeover();
                 let live = self.live()?;
-                let (by, has_ended) = (live.by, live.ended.is_some());
-                live.press(keys).map_err(|error| with_causes(&error))?;
+                let (by, has_ended, was_wanted) = (live.by, live.ended.is_some(), live.is_wanted());
+                live.press(keys, is_allowed).map_err(|error| with_causes(&error))?;
                 if live.by == by {
+                    if !was_wanted {
+                        self.tell_who_waits();
+                    }
                     return Ok(()); // the next step shows it
                 }
                 if has_ended {
@@ -266,9 +308,8 @@ impl<'a> Engine<'a> {
             }
             Command::Step { count } => {
                 self.pace.play(false, now);
-                for _ in 0..count.min(MAX_STEPS) {
-                    self.step_once()?;
-                }
+                self.owed = count.min(MAX_STEPS);
+                self.work_off()?;
             }
             Command::Reset {} => {
                 let beginning = self.live()?.beginning;
@@ -278,7 +319,7 @@ impl<'a> Engine<'a> {
                 let (state, options) = (self.state()?, self.view.options(pick::maps()));
                 let maps =
                     desk.renderer.render_with(&state, &options).map_err(|error| with_causes(&error))?;
-                let (skeleton, log) = (&self.inputs.skeleton, self.inputs.log.name());
+                let skeleton = &self.inputs.skeleton;
                 let picked = pick::picked(&pixel, &state, &maps.set, &options, skeleton, log)?;
                 self.hub.tell(Some(client), to_json(&picked));
                 return Ok(());
@@ -297,7 +338,59 @@ impl<'a> Engine<'a> {
         let live = Live::new(&self.scenario(), beginning).map_err(|error| with_causes(&error))?;
         self.pace = Pace::new(beginning.hz, false, now);
         self.stage = Stage::Live(Box::new(live));
+        self.generation.restart(beginning.hz);
+        self.ask();
         Ok(())
+    }
+
+    /// Begins to generate images, or ends it. A simulation in which the log still drives begins anew at its
+    /// present state, since the generator begins with recorded images.
+    fn generate(&mut self, mode: Mode, now: Instant) -> Result<(), String> {
+        if mode != Mode::Off && self.inputs.generator.is_none() {
+            return Err("there is no generator: start with --generator".to_owned());
+        }
+        let was_off = std::mem::replace(&mut self.generation.mode, mode) == Mode::Off;
+        let Stage::Live(live) = &self.stage else { return Ok(()) };
+        if mode == Mode::Off || !was_off {
+            return Ok(());
+        }
+        if live.takeover.is_some() {
+            self.generation.mode = Mode::Off;
+            return Err("the generator begins with recorded images, and the log has given the wheel \
+                away: reset the simulation first"
+                .to_owned());
+        }
+        let (pace, beginning) = (self.pace, Beginning { start_us: live.instant().t_us, ..live.beginning });
+        self.begin(beginning, now)?;
+        self.pace = pace;
+        Ok(())
+    }
+
+    /// Asks for the generated images of the present step, if they are due.
+    fn ask(&mut self) {
+        let (log, hide) = (self.inputs.log.recording(), &self.view.hide);
+        let Stage::Live(live) = &self.stage else { return };
+        let substitutes = || self.view.substitutes(self.options.templates.as_deref());
+        let hidden = |instant: &pskel_sim::Instant| instant.hiding(log, hide);
+        let follow_log = live.beginning.actors == ActorPolicy::Replay;
+        self.generation.ask(live.simulation(), substitutes, hidden, follow_log);
+    }
+
+    /// Returns whether the log may give the wheel away now.
+    fn allows_takeover(&self) -> bool {
+        match &self.stage {
+            Stage::Live(live) => self.generation.allows_takeover(live.instant().step),
+            Stage::Look(_) => true,
+        }
+    }
+
+    /// Tells why somebody does not get the wheel yet.
+    fn tell_who_waits(&self) {
+        let missing = self.generation.missing_references();
+        if matches!(&self.stage, Stage::Live(live) if live.is_wanted()) && missing > 0 {
+            let text = format!("the log drives until {missing} more reference images are there");
+            self.hub.tell(None, ServerMessage::Notice { level: "info", text: &text }.json());
+        }
     }
 
     fn live(&mut self) -> Result<&mut Live<'a>, String> {
@@ -309,12 +402,25 @@ impl<'a> Engine<'a> {
 
     /// Moves on by the steps that are due.
     fn advance(&mut self) {
-        for _ in 0..self.pace.due(Instant::now()) {
-            if let Err(text) = self.step_once() {
-                self.pace.play(false, Instant::now());
-                self.hub.tell(None, ServerMessage::Notice { level: "error", text: &text }.json());
-            }
+        let due = self.pace.due(Instant::now());
+        let stepped = (0..due).try_for_each(|_| match self.generation.waits() {
+            true => Ok(()),
+            false => self.step_once(),
+        });
+        if let Err(text) = stepped.and_then(|()| self.work_off()) {
+            self.owed = 0;
+            self.pace.play(false, Instant::now());
+            self.hub.tell(None, ServerMessage::Notice { level: "error", text: &text }.json());
         }
+    }
+
+    /// Takes the single steps that are owed, as far as the generator lets it.
+    fn work_off(&mut self) -> Result<(), String> {
+        while self.owed > 0 && !self.generation.waits() {
+            self.owed -= 1;
+            self.step_once()?;
+        }
+        Ok(())
     }
 
     /// Moves on by one step; pauses where it does not go on.
@@ -328,11 +434,17 @@ impl<'a> Engine<'a> {
                 look.t_us(log) > before
             }
             Stage::Live(live) => {
-                live.step().map_err(|error| with_causes(&error))?;
+                live.step(self.generation.horizon()).map_err(|error| with_causes(&error))?;
+                let is_allowed = self.generation.allows_takeover(live.instant().step);
+                live.settle(is_allowed).map_err(|error| with_causes(&error))?;
                 live.ended.is_none()
             }
         };
+        if goes_on {
+            self.ask();
+        }
         if !goes_on {
+            self.owed = 0;
             self.pace.play(false, Instant::now());
         }
         self.is_stale = true;

@@ -5,18 +5,25 @@ use std::path::{Path, PathBuf};
 use point_skeleton::conditions::write::meta::PromptParts;
 use point_skeleton::error::with_causes;
 use point_skeleton::files::Inputs as ReadFiles;
+#[cfg(feature = "mcap")]
+use point_skeleton::files::OutputFile;
 use point_skeleton::raster::{MapKind, MapSet};
-use pskel_sim::TrajectoryFile;
-use pskel_sim::rollout::{InputPaths, Rollout, RolloutInputs, RolloutOptions, rollout_extra};
+#[cfg(feature = "mcap")]
+use pskel_sim::rollout::MCAP;
+use pskel_sim::rollout::{ImageGenerator, InputPaths, Rollout, RolloutInputs, RolloutOptions, rollout_extra};
+use pskel_sim::{ActorPolicy, TrajectoryFile};
 use serde::Serialize;
 use serde_json::Value;
 
-use super::{Desk, Engine, Stage, command};
+use super::live::Live;
+use super::{Desk, Engine, LiveGenerator, Stage, command};
 use crate::hub::ClientId;
 use crate::message::{ServerMessage, to_json};
 
 /// Maximum length of a name.
 const MAX_NAME: usize = 64;
+/// Video of a rollout.
+const VIDEO: &str = "rollout.mp4";
 
 /// Answer to the request to save.
 #[derive(Serialize)]
@@ -24,8 +31,11 @@ const MAX_NAME: usize = 64;
 struct Saved<'a> {
     name: &'a str,
     folder: String,
-    /// Path of the rollout's page on the server.
+    /// Paths of the rollout's page and video on the server.
     page: String,
+    video: Option<String>,
+    /// MCAP file.
+    mcap: Option<String>,
     trajectory: Option<String>,
     command: String,
 }
@@ -77,9 +87,12 @@ impl Engine<'_> {
         if folder.exists() || trajectory.as_ref().is_some_and(|path| path.exists()) {
             return Err(format!("expected a new name, found one that exists: {}", folder.display()));
         }
-        let simulation = live.replay_options().map_err(|error| with_causes(&error))?;
+        let generator = self.generation.running();
+        let (every, window) = self.planning();
+        let simulation = live.replay_options(every, window).map_err(|error| with_causes(&error))?;
         let file = trajectory.as_ref().map_or_else(String::new, |path| path.display().to_string());
-        let own = live.arguments(&file);
+        let follow_log = live.beginning.actors == ActorPolicy::Replay;
+        let own = self.drive_arguments(live, &file);
         if let Some(path) = &trajectory {
             self.write_trajectory(path)?;
         }
@@ -88,12 +101,19 @@ impl Engine<'_> {
             kinds = MapSet::of(&[MapKind::Color]);
         }
         let options = self.view.options(kinds);
+        let read = ReadFiles::new([self.inputs.skeleton_path.clone()]);
+        #[cfg(feature = "mcap")]
+        let mcap = self.options.out.join(format!("{name}.mcap"));
+        let record = generator.map_or(Value::Null, |generator| generator.record.clone());
         let options = RolloutOptions {
             simulation,
             conditions: (*options.conditions).clone(),
             selection: options.selection,
-            extra: rollout_extra(desk.report, Value::Null).map_err(|error| error.to_string())?,
+            extra: rollout_extra(desk.report, record).map_err(|error| error.to_string())?,
+            facts: generator.iter().map(|generator| generator.fact.clone()).collect(),
             hide: self.view.hide.clone(),
+            #[cfg(feature = "mcap")]
+            mcap: Some(OutputFile::open(&mcap, MCAP, &read).map_err(|error| with_causes(&error))?),
             ..RolloutOptions::default()
         };
         let (scenario, prompt) = (self.scenario(), PromptParts::default());
@@ -104,7 +124,6 @@ impl Engine<'_> {
         };
         let inputs =
             RolloutInputs { scenario: &scenario, skeleton: &self.inputs.skeleton, prompt: &prompt, paths };
-        let read = ReadFiles::new([self.inputs.skeleton_path.clone()]);
         let rollout = Rollout::open(inputs, options, Some((&folder, &read)), None);
         let rollout = rollout.map_err(|error| with_causes(&error))?;
         let (mut done, of) = (0, rollout.steps_left());
@@ -113,7 +132,11 @@ impl Engine<'_> {
             done += 1;
             hub.tell(None, ServerMessage::Progress { what: "saving", done, of }.json());
         };
-        let report = rollout.run(desk.renderer, None, &mut on_step).map_err(|error| with_causes(&error))?;
+        let open = |generator: &LiveGenerator| (generator.open)(self.inputs, follow_log);
+        let session = generator.map(open).transpose();
+        let mut session = session.map_err(|error| with_causes(&*error))?;
+        let images = session.as_mut().map(|session| &mut **session as &mut dyn ImageGenerator);
+        let report = rollout.run(desk.renderer, images, &mut on_step).map_err(|error| with_causes(&error))?;
         if let Some(failure) = report.failure.as_ref().or(report.summary_failure.as_ref()) {
             return Err(with_causes(failure));
         }
@@ -124,15 +147,37 @@ impl Engine<'_> {
         let line = command::line(
             first.into_iter().chain(log).chain(own).chain(self.view.arguments(kinds)).chain(out),
         );
+        #[cfg(feature = "mcap")]
+        let mcap = Some(mcap.display().to_string());
+        #[cfg(not(feature = "mcap"))]
+        let mcap = None;
         let saved = Saved {
             name: &name,
             folder: folder.display().to_string(),
             page: format!("/rollouts/{name}/index.html"),
+            video: folder.join(VIDEO).exists().then(|| format!("/rollouts/{name}/{VIDEO}")),
+            mcap,
             trajectory: trajectory.map(|path| path.display().to_string()),
             command: line,
         };
         self.hub.tell(Some(client), to_json(&saved));
         Ok(())
+    }
+
+    /// Returns how many steps apart a rollout of the drive plans, and how many plans its warm-up has at least.
+    fn planning(&self) -> (usize, usize) {
+        match self.generation.running() {
+            Some(generator) => (self.generation.every(), generator.window),
+            None => (1, 0),
+        }
+    }
+
+    /// Returns the arguments of `pskel simulate` for a drive along a trajectory.
+    pub(super) fn drive_arguments(&self, live: &Live<'_>, trajectory: &str) -> Vec<String> {
+        let (every, window) = self.planning();
+        let mut arguments = live.arguments(trajectory, every, window);
+        arguments.extend(self.generation.running().iter().flat_map(|running| running.arguments.clone()));
+        arguments
     }
 
     /// Returns the first name that is not taken.

@@ -11,7 +11,7 @@ use std::time::{Duration, Instant};
 
 use point_skeleton::raster::{RasterizerDesc, RasterizerKind};
 use point_skeleton::{Log, Skeleton};
-use pskel_drive::{DriveError, DriveOptions, Inputs, serve};
+use pskel_drive::{DriveError, DriveOptions, Inputs, LiveGenerator, serve};
 use pskel_sim::Rates;
 use pskel_testing::six_cameras;
 use serde_json::{Value, json};
@@ -45,7 +45,7 @@ pub(crate) struct Client {
 }
 
 /// Returns the written log and its skeleton in a folder.
-pub(crate) fn inputs(folder: &Path) -> Inputs {
+pub(crate) fn inputs(folder: &Path, generator: Option<LiveGenerator>) -> Inputs {
     let root = folder.join("log");
     six_cameras::copy_to(&root, |_| true);
     let name = format!("nuscenes:{}", root.display());
@@ -53,11 +53,15 @@ pub(crate) fn inputs(folder: &Path) -> Inputs {
     let skeleton_path = folder.join("skeleton");
     let skeleton = Skeleton::build(&log, &skeleton_path, &Default::default()).unwrap();
     let rates = Rates { sim_hz: 10.0, plan_hz: 5.0 };
-    Inputs { log, log_name: name, log_arguments: Vec::new(), skeleton, skeleton_path, rates }
+    Inputs { log, log_name: name, log_arguments: Vec::new(), skeleton, skeleton_path, rates, generator }
 }
 
 impl Server {
     pub(crate) fn start() -> Self {
+        Self::with_generator(None)
+    }
+
+    pub(crate) fn with_generator(generator: Option<LiveGenerator>) -> Self {
         let scratch = tempfile::tempdir().unwrap();
         let rasterizer = RasterizerDesc { kind: RasterizerKind::Cpu, ..RasterizerDesc::default() };
         let options = DriveOptions {
@@ -70,7 +74,12 @@ impl Server {
         let (stop, folder) = (Arc::new(AtomicBool::new(false)), scratch.path().to_owned());
         let flag = Arc::clone(&stop);
         let thread = std::thread::spawn(move || {
-            serve(&options, |_| Ok(inputs(&folder)), |url| sender.send(url.to_owned()).unwrap(), &flag)
+            serve(
+                &options,
+                |_| Ok(inputs(&folder, generator)),
+                |url| sender.send(url.to_owned()).unwrap(),
+                &flag,
+            )
         });
         let url = url.recv_timeout(PATIENCE).unwrap();
         let (address, token) = url.strip_prefix("http://").unwrap().split_once("/?token=").unwrap();

@@ -30,7 +30,7 @@ fn a_state_that_is_looked_at_has_the_bytes_of_rendered_files() {
     assert!(command.starts_with("pskel render nuscenes:") && command.ends_with(expected), "{command}");
 
     let scratch = tempfile::tempdir().unwrap();
-    let inputs = inputs(scratch.path());
+    let inputs = inputs(scratch.path(), None);
     let conditions = ConditionOptions {
         maps: MapSet::of(&[MapKind::Color, MapKind::Depth, MapKind::Class]),
         splat: "8:3,60:1".parse().unwrap(),

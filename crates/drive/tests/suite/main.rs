@@ -5,3 +5,4 @@ mod client;
 mod commands;
 mod connections;
 mod driving;
+mod generation;

@@ -216,7 +216,7 @@ fn ask(spec: &PeerSpec) -> Result<(), pskel_generate::DenoiserError> {
     };
     let predicted = denoiser.predict(&[frame, frame])?;
     assert!(predicted.iter().all(|p| p.shape() == shape && p.values().iter().all(|v| v.is_finite())));
-    let (codec, size): (Box<dyn Codec>, ImageSize) = denoiser.codec()?;
+    let (codec, size): (Box<dyn Codec + Send>, ImageSize) = denoiser.codec()?;
     if size.pixels() <= 1 << 16 {
         let latent = codec.encode(&[RgbImage::new(size.width, size.height)])?;
         assert_eq!(latent.shape(), shape);

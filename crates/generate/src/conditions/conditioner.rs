@@ -5,7 +5,7 @@ use point_skeleton::dataset::Recording;
 use point_skeleton::geometry::Pose;
 use point_skeleton::scene::{SceneMap, SceneState};
 use point_skeleton::{MapOptions, Renderer};
-use pskel_sim::{Committed, Forecast, Instant, Simulation, scene_state};
+use pskel_sim::{Committed, Forecast, Instant, scene_state};
 
 use crate::{Condition, DenoiserError, DroppedConditions, FrameConditions, Recipe};
 
@@ -91,18 +91,17 @@ impl<'a> Conditioner<'a> {
         instant.try_map(|instant| self.draw(instant, before, renderer))
     }
 
-    /// Renders the forecasts of at most `count` planning steps. They end with the log if the ego replays it.
+    /// Renders the forecasts of the next planning steps after a committed instant.
     ///
     /// # Errors
     /// Returns the errors of [`Conditioner::committed`].
     pub fn forecasts(
         &self,
-        simulation: &Simulation<'_>,
-        count: usize,
+        now: Committed<&Instant>,
+        expected: &[Forecast<Instant>],
         renderer: &mut Renderer<'_>,
     ) -> Result<Vec<Forecast<FrameConditions>>, ConditionerError> {
-        let expected = simulation.forecast(count);
-        let mut before = simulation.committed().get().ego.pose;
+        let mut before = now.get().ego.pose;
         let mut drawn = Vec::new();
         for instant in expected.iter().map(Forecast::get) {
             drawn.push(Forecast::new(self.draw(instant, Some(before), renderer)?.conditions));

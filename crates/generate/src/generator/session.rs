@@ -6,7 +6,7 @@ use point_skeleton::geometry::{ImageSize, Pose};
 use point_skeleton::scene::{GroundTruthError, GroundTruthImages};
 use pskel_sim::report::images::StepImages;
 use pskel_sim::rollout::{AnyError, GenerationTimes, ImageGenerator, lap};
-use pskel_sim::{Committed, Instant, Simulation};
+use pskel_sim::{Committed, Forecast, Instant};
 
 use crate::{
     Cache, Codec, Conditioner, ConditionerError, Denoiser, DenoiserError, FrameConditions, GaussianNoise,
@@ -14,7 +14,7 @@ use crate::{
 };
 
 /// A network whose type is chosen at run time.
-pub type AnyDenoiser = Box<dyn Denoiser<Condition = FrameConditions>>;
+pub type AnyDenoiser = Box<dyn Denoiser<Condition = FrameConditions> + Send>;
 
 /// Components and options of a [`Session`].
 pub struct SessionParts<'a> {
@@ -27,7 +27,7 @@ pub struct SessionParts<'a> {
     /// Whether the actors follow the log in the whole rollout.
     pub actors_follow_log: bool,
     /// Codec between images and the network's latents.
-    pub codec: Box<dyn Codec>,
+    pub codec: Box<dyn Codec + Send>,
     /// Size of the images.
     pub size: ImageSize,
     /// Options of the generator.
@@ -37,8 +37,7 @@ pub struct SessionParts<'a> {
 }
 
 /// A generator that runs with a simulation. At each planning step it generates a frame from the committed and
-/// forecast instants. The first frames are references: the ground-truth images of the planning steps in the
-/// warm-up.
+/// forecast instants. The first frames are references: the ground-truth images of the first planning steps.
 pub struct Session<'a> {
     parts: SessionParts<'a>,
     state: SessionState,
@@ -149,37 +148,46 @@ impl<'a> Session<'a> {
         Ok(())
     }
 
-    /// Generates the frame of the last committed instant; `None` between planning steps.
+    /// Returns how many of the next planning steps the next frame is generated from, at most: none for a
+    /// reference.
+    pub fn forecasts(&self) -> usize {
+        let SessionParts { options, .. } = &self.parts;
+        match &self.state {
+            SessionState::Warm { retained, .. } if retained.len() < options.references() => 0,
+            _ => options.forecasts(),
+        }
+    }
+
+    /// Generates the frame of a committed planning step; `expected` are forecasts of the next ones.
     ///
     /// # Errors
     /// Returns an error if the device, the files of the log, the codec or the network fail. All further steps
     /// then fail; resume in a new session with [`Session::resume`].
     pub fn step(
         &mut self,
-        simulation: &Simulation<'_>,
+        now: Committed<&Instant>,
+        expected: &[Forecast<Instant>],
         renderer: &mut Renderer<'_>,
-    ) -> Result<Option<StepImages>, SessionError> {
+    ) -> Result<StepImages, SessionError> {
         if matches!(self.state, SessionState::Failed) {
             return Err(SessionError::Failed);
         }
-        if !simulation.committed().get().step.is_multiple_of(simulation.steps_per_plan()) {
-            return Ok(None);
-        }
-        let made = self.make(simulation, renderer);
+        let made = self.make(now, expected, renderer);
         if made.is_err() {
             self.state = SessionState::Failed;
         }
-        made.map(Some)
+        made
     }
 
     fn make(
         &mut self,
-        simulation: &Simulation<'_>,
+        now: Committed<&Instant>,
+        expected: &[Forecast<Instant>],
         renderer: &mut Renderer<'_>,
     ) -> Result<StepImages, SessionError> {
         let mut clock = Clock::now();
         let mut times = GenerationTimes::default();
-        let drawn = self.draw(simulation.committed(), renderer)?;
+        let drawn = self.draw(now.clone(), renderer)?;
         times.conditions_s = lap(&mut clock);
         let references = self.parts.options.references();
         if matches!(&self.state, SessionState::Warm { retained, .. } if retained.len() < references) {
@@ -191,8 +199,8 @@ impl<'a> Session<'a> {
         }
         let truth = self.has_truth().then(|| self.truth(drawn.get())).transpose()?;
         times.truth_s = lap(&mut clock);
-        let count = self.parts.options.forecasts();
-        let forecasts = self.parts.conditioner.forecasts(simulation, count, renderer)?;
+        let expected = &expected[..expected.len().min(self.parts.options.forecasts())];
+        let forecasts = self.parts.conditioner.forecasts(now, expected, renderer)?;
         times.forecasts_s = lap(&mut clock);
         let conditions = drawn.map(|drawn| drawn.conditions);
         let latent = self.generator()?.step(conditions.clone(), &forecasts)?;
@@ -262,12 +270,18 @@ impl<'a> Session<'a> {
 }
 
 impl ImageGenerator for Session<'_> {
+    fn forecasts(&self) -> usize {
+        self.forecasts()
+    }
+
     fn generate(
         &mut self,
-        simulation: &Simulation<'_>,
+        _frame: usize,
+        now: Committed<&Instant>,
+        expected: &[Forecast<Instant>],
         renderer: &mut Renderer<'_>,
     ) -> Result<Option<StepImages>, AnyError> {
-        Ok(self.step(simulation, renderer)?)
+        Ok(Some(self.step(now, expected, renderer)?))
     }
 
     fn times(&self) -> GenerationTimes {

@@ -10,7 +10,7 @@ use point_skeleton::geometry::{ImageSize, View};
 use point_skeleton::scene::{GroundTruthError, GroundTruthImages, SceneMap};
 use pskel_sim::report::images::{ImageRows, StepImages};
 use pskel_sim::rollout::{AnyError, GenerationTimes, ImageGenerator, lap};
-use pskel_sim::{Committed, Instant, Simulation, scene_state};
+use pskel_sim::{Committed, Forecast, Instant, scene_state};
 use rayon::prelude::*;
 
 use super::matching::{ClipImages, FrameImage};
@@ -125,17 +125,18 @@ fn crop(image: &RgbImage, rows: ImageRows, size: ImageSize) -> RgbImage {
 }
 
 impl ImageGenerator for ImportSession<'_> {
+    fn forecasts(&self) -> usize {
+        0
+    }
+
     fn generate(
         &mut self,
-        simulation: &Simulation<'_>,
+        frame: usize,
+        now: Committed<&Instant>,
+        _expected: &[Forecast<Instant>],
         _renderer: &mut Renderer<'_>,
     ) -> Result<Option<StepImages>, AnyError> {
-        let instant = (*simulation.committed().get()).clone();
-        let per_plan = simulation.steps_per_plan();
-        if !instant.step.is_multiple_of(per_plan) {
-            return Ok(None);
-        }
-        let (frame, rows) = (instant.step / per_plan, self.images.rows);
+        let rows = self.images.rows;
         let mut clock = Clock::now();
         let mut times = GenerationTimes::default();
         let is_reference = frame < self.images.references;
@@ -143,7 +144,7 @@ impl ImageGenerator for ImportSession<'_> {
         if !is_reference && found.is_none() {
             return Ok(None);
         }
-        let truth = (is_reference || self.has_truth()).then(|| self.truth(&instant)).transpose()?;
+        let truth = (is_reference || self.has_truth()).then(|| self.truth(now.get())).transpose()?;
         times.truth_s = lap(&mut clock);
         let images = match (&truth, found) {
             (Some(truth), _) if is_reference => truth.clone(),

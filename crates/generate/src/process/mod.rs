@@ -59,7 +59,7 @@ impl ProcessDenoiser {
     ///
     /// # Errors
     /// Returns an error if the process does not decode and its latents cannot be pixels.
-    pub fn codec(&self) -> Result<(Box<dyn Codec>, ImageSize), DenoiserError> {
+    pub fn codec(&self) -> Result<(Box<dyn Codec + Send>, ImageSize), DenoiserError> {
         let given = self.given;
         if let Some(size) = given.images {
             return Ok((Box::new(ProcessCodec { shared: self.shared.clone(), given, size }), size));

@@ -34,7 +34,8 @@ fn forecasts_continue_after_the_end_of_the_log() {
         let mut seen = Vec::new();
         loop {
             let now_us = simulation.committed().get().t_us;
-            let forecasts = conditioner.forecasts(&simulation, 3, &mut renderer).unwrap();
+            let (now, expected) = (simulation.committed(), simulation.forecast(3));
+            let forecasts = conditioner.forecasts(now, &expected, &mut renderer).unwrap();
             seen.push((now_us > end_us, forecasts.len()));
             // The window is not frozen: the ego moves in each forecast.
             assert!(forecasts.iter().all(|forecast: &Forecast<_>| forecast.get().action[0] > 0.1));

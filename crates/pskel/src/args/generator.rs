@@ -1,5 +1,6 @@
 //! Generator options of the command line: the network and its strategy.
 
+use std::fmt;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
@@ -9,7 +10,7 @@ use point_skeleton::dataset::Recording;
 use point_skeleton::error::FileError;
 use point_skeleton::files::json;
 use point_skeleton::files::text::printable;
-use point_skeleton::named::UnknownName;
+use point_skeleton::named::{Named, UnknownName};
 use pskel_generate::{
     ConditionKind, DenoiserRig, Guidance, GuidedConditions, Preset, Recipe, SamplerOptions, Strategy,
 };
@@ -78,6 +79,33 @@ pub(crate) struct GeneratorArgs {
 }
 
 impl GeneratorArgs {
+    /// Returns the name of the network.
+    pub(crate) fn name(&self) -> Option<String> {
+        self.generator.as_ref().map(ToString::to_string)
+    }
+
+    /// Returns the options as arguments of a command line.
+    pub(crate) fn arguments(&self) -> Vec<String> {
+        let path = |path: &Option<PathBuf>| path.as_ref().map(|path| path.display().to_string());
+        let without: Vec<&str> = self.without.iter().map(|kind| kind.name()).collect();
+        let options = [
+            ("generator", self.name()),
+            ("strategy", self.strategy.map(|strategy| strategy.to_string())),
+            ("window", self.window.map(|frames| frames.to_string())),
+            ("infer-steps", self.infer_steps.map(|steps| steps.to_string())),
+            ("guidance", self.guidance.map(|scale| scale.to_string())),
+            ("guide", self.guide.map(|guide| guide.name().to_owned())),
+            ("without", (!without.is_empty()).then(|| without.join(","))),
+            ("noise-seed", self.noise_seed.map(|seed| seed.to_string())),
+            ("sampler", self.sampler.map(|sampler| sampler.name().to_owned())),
+            ("recipe", path(&self.recipe)),
+            ("captions", path(&self.captions)),
+            ("generator-timeout", self.generator_timeout.map(|seconds| seconds.to_string())),
+        ];
+        let given = options.into_iter().filter_map(|(name, value)| Some([format!("--{name}"), value?]));
+        given.flatten().collect()
+    }
+
     /// Returns whether images are generated.
     pub(crate) fn generates(&self) -> bool {
         self.generator.is_some()
@@ -192,6 +220,18 @@ struct StrategyArg {
     clean: usize,
 }
 
+impl fmt::Display for StrategyArg {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.strategy.name())?;
+        match (self.strategy, self.clean) {
+            (Strategy::ResetAndRoll | Strategy::Rolling, 0) => Ok(()),
+            (Strategy::ResetAndRoll | Strategy::Rolling, clean) => write!(f, ",clean={clean}"),
+            (Strategy::Causal { history_noise }, _) => write!(f, ",history_noise={history_noise}"),
+            (Strategy::NonCausal { forecasts }, _) => write!(f, ",forecasts={forecasts}"),
+        }
+    }
+}
+
 impl FromStr for StrategyArg {
     type Err = String;
 
@@ -253,6 +293,10 @@ mod tests {
         assert_eq!(parse("causal,history_noise=50"), Ok(StrategyArg { strategy: causal, clean: 0 }));
         let non_causal = Strategy::NonCausal { forecasts: 3 };
         assert_eq!(parse("non_causal,forecasts=3"), Ok(StrategyArg { strategy: non_causal, clean: 0 }));
+        for text in ["rolling,clean=2", "reset_and_roll", "causal,history_noise=50", "non_causal,forecasts=3"]
+        {
+            assert_eq!(parse(text).unwrap().to_string(), text);
+        }
         for (text, expected) in [
             ("causal,clean=1", "history_noise=N with causal"),
             ("rolling,clean=-1", "clean=N with rolling"),

@@ -6,21 +6,25 @@ use std::os::unix::fs::OpenOptionsExt;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::sync::atomic::AtomicBool;
+use std::sync::{Mutex, PoisonError};
 
 use clap::Args;
-use point_skeleton::dataset::LogLocator;
+use point_skeleton::conditions::write::meta::PromptParts;
+use point_skeleton::dataset::{LogLocator, Recording};
 use point_skeleton::files::Inputs as ReadFiles;
 use point_skeleton::skeleton::{self, BuildInput, BuildNeeds, BuildOptions, BuildRun, SkeletonWriter};
 use point_skeleton::{Log, Skeleton};
-use pskel_drive::{DriveError, DriveOptions, Inputs, Progress};
+use pskel_drive::{DriveError, DriveOptions, Inputs, LiveGenerator, OpenGenerator, Progress};
 use pskel_sim::Rates;
 
+use super::simulate::{GeneratorArgs, GivenImages, Opened};
 use crate::args::log::{self, LogRoots};
+use crate::args::numbers::finite;
 use crate::args::outputs::output_folder;
 use crate::args::rasterizer::RasterizerArgs;
 use crate::args::source::open_skeleton;
 use crate::progress::StageProgress;
-use crate::{print_progress, print_result, warn};
+use crate::{WrongUsage, print_progress, print_result, warn};
 
 /// Port that is tried first, if none is given.
 const PORT: u16 = 8770;
@@ -58,12 +62,21 @@ pub(crate) struct DriveArgs {
     templates: Option<PathBuf>,
     #[command(flatten)]
     roots: LogRoots,
+    /// Images that the generator makes per second [default: the planning rate of the recording]
+    #[arg(long, value_name = "HZ", value_parser = rate_hz, help_heading = "Generator")]
+    generate_hz: Option<f64>,
+    #[command(flatten)]
+    generator: GeneratorArgs,
     #[command(flatten)]
     rasterizer: RasterizerArgs,
 }
 
 /// Runs the command: serves the page until the process ends.
 pub(crate) fn run(args: &DriveArgs) -> anyhow::Result<()> {
+    args.generator.check()?;
+    if args.generate_hz.is_some() && !args.generator.generates() {
+        return Err(WrongUsage("expected --generator with --generate-hz, found none".to_owned()).into());
+    }
     let options = DriveOptions {
         address: SocketAddr::new(args.address, args.free_port()),
         out: args.out.clone(),
@@ -106,14 +119,38 @@ impl DriveArgs {
             self.build(&log, &path, progress)?
         };
         print_progress(&format!("skeleton {}", path.display()));
+        let rates = Rates::of(self.log.format, log.recording());
+        progress("opening the generator", 0, 0);
         Ok(Inputs {
             log_name: self.log.to_string(),
             log_arguments: self.roots.locate(&self.log).arguments(),
-            rates: Rates::of(self.log.format, log.recording()),
+            rates,
+            generator: self.generator(log.recording(), self.generate_hz.unwrap_or(rates.plan_hz))?,
             log,
             skeleton,
             skeleton_path: path,
         })
+    }
+
+    /// Opens the generator. The first session takes what is opened here, later ones open it again.
+    fn generator(&self, log: &Recording, hz: f64) -> anyhow::Result<Option<LiveGenerator>> {
+        let args = self.generator.clone();
+        let (Some(name), Some(first)) = (args.name(), open_generator(&args, log, hz)?) else {
+            return Ok(None);
+        };
+        let (window, record, fact) = (first.window(), first.record()?, first.fact());
+        let (arguments, first) = (args.arguments(), Mutex::new(Some(first)));
+        let open: Box<OpenGenerator> = Box::new(move |inputs, actors_follow_log| {
+            let log = inputs.log.recording();
+            let opened = first.lock().unwrap_or_else(PoisonError::into_inner).take();
+            let opened = match opened {
+                Some(opened) => opened,
+                None => open_generator(&args, log, hz)?.ok_or("there is no generator")?,
+            };
+            let follow_log = [false, actors_follow_log];
+            Ok(opened.session(&inputs.log, inputs.log.map(), &PromptParts::default(), follow_log)?)
+        });
+        Ok(Some(LiveGenerator { name, hz, window, arguments, record, fact, open }))
     }
 
     fn build(&self, log: &Log, path: &Path, progress: &Progress<'_>) -> anyhow::Result<Skeleton> {
@@ -127,16 +164,26 @@ impl DriveArgs {
     }
 }
 
+fn open_generator(args: &GeneratorArgs, log: &Recording, hz: f64) -> anyhow::Result<Option<Opened>> {
+    Opened::open(args, &GivenImages::default(), log, hz)
+}
+
+/// Parses a rate.
+fn rate_hz(text: &str) -> Result<f64, String> {
+    let hz = finite(text).filter(|hz| (0.1..=100.0).contains(hz));
+    hz.ok_or_else(|| "expected 0.1 to 100 images per second".to_owned())
+}
+
 /// Progress of a build on the page and on the terminal.
 struct Both<'p> {
     page: &'p Progress<'p>,
     terminal: StageProgress,
-    done: std::sync::Mutex<(String, usize, usize)>,
+    done: Mutex<(String, usize, usize)>,
 }
 
 impl Both<'_> {
     fn tell(&self, change: impl FnOnce(&mut (String, usize, usize))) {
-        let mut state = self.done.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
+        let mut state = self.done.lock().unwrap_or_else(PoisonError::into_inner);
         change(&mut state);
         (self.page)(&format!("building the skeleton: {}", state.0), state.1, state.2);
     }

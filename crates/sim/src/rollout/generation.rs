@@ -1,10 +1,12 @@
 //! The generator in the rollout: generated images, their files in a step, and resuming.
 
+use std::collections::BTreeSet;
 use std::io::Write;
 use std::path::Path;
 use std::sync::Arc;
 
 use point_skeleton::Renderer;
+use point_skeleton::dataset::Recording;
 use point_skeleton::error::FileError;
 use point_skeleton::files::input::{is_there, read_table};
 use point_skeleton::files::write_whole;
@@ -19,6 +21,8 @@ use crate::{SavedState, Scenario, SimOptions, Simulation};
 /// The generator and its latest images.
 pub(super) struct Generation<'a> {
     generator: &'a mut dyn ImageGenerator,
+    /// Tracks of actors that are not shown.
+    hide: BTreeSet<String>,
     latest: Option<Arc<StepImages>>,
 }
 
@@ -48,24 +52,26 @@ pub(super) struct EarlierSteps<'a> {
 
 impl<'a> Generation<'a> {
     /// Starts the generator.
-    pub(super) fn new(generator: &'a mut dyn ImageGenerator) -> Self {
-        Self { generator, latest: None }
+    pub(super) fn new(generator: &'a mut dyn ImageGenerator, hide: BTreeSet<String>) -> Self {
+        Self { generator, hide, latest: None }
     }
 
     /// Resumes the generator after the last step of an earlier run.
     pub(super) fn resume(
         generator: &'a mut dyn ImageGenerator,
+        hide: BTreeSet<String>,
         earlier: &EarlierSteps<'_>,
         renderer: &mut Renderer<'_>,
     ) -> Result<Self, RolloutError> {
         let EarlierSteps { folder, rows, steps_per_plan, scenario, options } = earlier;
         let plan_rows: Vec<&StepRow> = rows.iter().step_by(*steps_per_plan).collect();
-        let Some(last) = plan_rows.last() else { return Ok(Self::new(generator)) };
+        let Some(last) = plan_rows.last() else { return Ok(Self::new(generator, hide)) };
         let first = plan_rows.len().saturating_sub(generator.window());
         let instant = |row: &&StepRow| {
             let path = step_folder(folder, &row.name()).join(STATE);
             let saved = SavedState::read(&path)?;
-            saved.committed(scenario, options).map_err(RolloutError::file(&path))
+            let instant = saved.committed(scenario, options).map_err(RolloutError::file(&path))?;
+            Ok::<_, RolloutError>(instant.map(|instant| instant.hiding(scenario.log, &hide)))
         };
         let instants = plan_rows[first..].iter().map(instant).collect::<Result<Vec<_>, _>>()?;
         let last = step_folder(folder, &last.name());
@@ -75,7 +81,7 @@ impl<'a> Generation<'a> {
         resumed.map_err(RolloutError::file(&path))?;
         let cameras: Vec<_> = scenario.log.rig.iter().map(|rig| rig.camera.name.clone()).collect();
         let latest = images::read(&last, &cameras)?.map(Arc::new);
-        Ok(Self { generator, latest })
+        Ok(Self { generator, hide, latest })
     }
 
     /// Generates the images of the latest committed state if a planning step is due, and returns the latest
@@ -83,11 +89,21 @@ impl<'a> Generation<'a> {
     pub(super) fn step(
         &mut self,
         simulation: &Simulation<'_>,
+        log: &Recording,
         renderer: &mut Renderer<'_>,
         name: &str,
     ) -> Result<Option<Images>, RolloutError> {
         let at = || RolloutError::step(name);
-        let generated = self.generator.generate(simulation, renderer).map_err(at())?;
+        let (step, per_plan) = (simulation.committed().get().step, simulation.steps_per_plan());
+        let generated = if step.is_multiple_of(per_plan) {
+            let now = simulation.committed().map(|instant| instant.hiding(log, &self.hide));
+            let expected = simulation.forecast(self.generator.forecasts()).into_iter();
+            let expected: Vec<_> =
+                expected.map(|next| next.map(|next| next.hiding(log, &self.hide))).collect();
+            self.generator.generate(step / per_plan, now.as_ref(), &expected, renderer).map_err(at())?
+        } else {
+            None
+        };
         let is_fresh = generated.is_some();
         self.latest = generated.map(Arc::new).or(self.latest.take());
         let Some(latest) = self.latest.clone() else { return Ok(None) };

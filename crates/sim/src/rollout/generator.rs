@@ -3,17 +3,23 @@ use serde::Serialize;
 
 use super::error::AnyError;
 use crate::report::images::StepImages;
-use crate::{Committed, Instant, Simulation};
+use crate::{Committed, Forecast, Instant};
 
 /// Generates the camera images of a rollout, one set of images per planning step.
 pub trait ImageGenerator {
-    /// Generates the images of the last committed state; `None` between planning steps.
+    /// Returns how many of the next planning steps are to be forecast for the next frame, at most.
+    fn forecasts(&self) -> usize;
+
+    /// Generates the images of a committed planning step, from it and from forecasts of the next ones.
+    /// `frame` is the number of planning steps before it. Returns `None` if the step has no images.
     ///
     /// # Errors
     /// Returns the error of the network, the device or the files of the log.
     fn generate(
         &mut self,
-        simulation: &Simulation<'_>,
+        frame: usize,
+        now: Committed<&Instant>,
+        expected: &[Forecast<Instant>],
         renderer: &mut Renderer<'_>,
     ) -> Result<Option<StepImages>, AnyError>;
 

@@ -188,8 +188,8 @@ impl<'a> Rollout<'a> {
             options: &record.simulation,
         };
         let begin = |generator| match rows.is_empty() {
-            true => Ok(Generation::new(generator)),
-            false => Generation::resume(generator, &earlier, renderer),
+            true => Ok(Generation::new(generator, record.hide.clone())),
+            false => Generation::resume(generator, record.hide.clone(), &earlier, renderer),
         };
         let mut generation = generator.map(begin).transpose()?;
         let steps = Steps {

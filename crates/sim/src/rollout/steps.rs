@@ -246,7 +246,9 @@ impl Loop<'_, '_, '_, '_> {
             times.forecast_s = lap(&mut clock);
             let name = state.name.clone();
             let images = match &mut self.generation {
-                Some(generation) => generation.step(&self.simulation, self.renderer, &name)?,
+                Some(generation) => {
+                    generation.step(&self.simulation, self.steps.scenario.log, self.renderer, &name)?
+                }
                 None => None,
             };
             times.generated = images.as_ref().and_then(|images| Some(images.fresh.as_ref()?.times));

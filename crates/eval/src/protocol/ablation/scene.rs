@@ -131,7 +131,8 @@ impl Drive<'_> {
             let instant = (*simulation.committed().get()).clone();
             if instant.step.is_multiple_of(simulation.steps_per_plan()) {
                 let drawn = self.conditioner.committed(simulation.committed(), before, renderer)?;
-                let forecasts = self.conditioner.forecasts(&simulation, self.options.references, renderer)?;
+                let expected = simulation.forecast(self.options.references);
+                let forecasts = self.conditioner.forecasts(simulation.committed(), &expected, renderer)?;
                 let t_s = (instant.t_us - *first_us.get_or_insert(instant.t_us)) as f64 / 1e6;
                 frames.push(self.frame(drawn, forecasts, &instant, t_s)?);
                 before = Some(instant.ego.pose);

@@ -13,7 +13,7 @@ use point_skeleton::geometry::Camera;
 use point_skeleton::raster::{RasterizerDesc, RasterizerKind};
 use point_skeleton::skeleton::{BuildOptions, BuildReport, Skeleton, SkeletonWriter};
 use point_skeleton::{RenderOptions, Renderer};
-use pskel_sim::{Rates, Scenario, SimOptions};
+use pskel_sim::{Rates, Scenario, SimOptions, Simulation};
 
 const SIZE: ImageSize = ImageSize { height: 4, width: 8 };
 const SHAPE: LatentShape = LatentShape { views: 1, channels: 12, height: 2, width: 4 };
@@ -156,9 +156,13 @@ fn failed_sessions_reject_further_steps() {
         let (mut made, mut errors) = (0, Vec::new());
         loop {
             for _attempt in 0..2 {
-                match session.step(&simulation, &mut renderer) {
-                    Ok(frame) => {
-                        made += usize::from(frame.is_some());
+                if !simulation.committed().get().step.is_multiple_of(simulation.steps_per_plan()) {
+                    break;
+                }
+                let expected = simulation.forecast(session.forecasts());
+                match session.step(simulation.committed(), &expected, &mut renderer) {
+                    Ok(_) => {
+                        made += 1;
                         break;
                     }
                     Err(error) => errors.push(error),

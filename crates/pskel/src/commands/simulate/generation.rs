@@ -6,8 +6,6 @@ mod with_network;
 mod without_network;
 
 #[cfg(feature = "network")]
-pub(super) use with_network::Opened;
-#[cfg(feature = "network")]
-pub(crate) use with_network::{GeneratorArgs, GivenImages};
+pub(crate) use with_network::{GeneratorArgs, GivenImages, Opened};
 #[cfg(not(feature = "network"))]
-pub(super) use without_network::{GeneratorArgs, GivenImages, Opened};
+pub(crate) use without_network::{GeneratorArgs, GivenImages, Opened};

@@ -27,7 +27,9 @@ use pskel_sim::{Rates, Scenario, SimOptions};
 use serde_json::{Map, Value};
 
 use self::args::OutputFiles;
-use self::generation::Opened;
+pub(crate) use self::generation::Opened;
+#[cfg(feature = "drive")]
+pub(crate) use self::generation::{GeneratorArgs, GivenImages};
 use self::inputs::Inputs;
 use self::summary::{Planned, summary};
 use crate::progress::Progress;
@@ -95,7 +97,8 @@ pub(crate) fn rollout(args: SimulateArgs) -> anyhow::Result<String> {
         ..RenderOptions::default()
     };
     let mut renderer = Renderer::new(skeleton, render)?;
-    let generate = |opened: Opened| opened.session(&inputs, args.follow_log());
+    let generate =
+        |opened: Opened| opened.session(&inputs.log, inputs.map.clone(), &inputs.prompt, args.follow_log());
     let mut generator = opened.map(generate).transpose()?;
     let mut progress = Progress::new(rollout.steps_left());
     let mut on_step = |name: &str| progress.step(name);

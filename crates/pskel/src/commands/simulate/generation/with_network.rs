@@ -1,12 +1,14 @@
+use std::sync::Arc;
+
+use point_skeleton::Log;
 use point_skeleton::conditions::FrameCaptions;
+use point_skeleton::conditions::write::meta::PromptParts;
 use point_skeleton::dataset::Recording;
-use point_skeleton::scene::GroundTruthImages;
+use point_skeleton::scene::{GroundTruthImages, SceneMap};
 use pskel_generate::{ClipImages, DenoiserRig, ImportSession};
 use pskel_network::{GenerationScene, OpenedNetwork};
 use pskel_sim::rollout::ImageGenerator;
 use serde_json::{Value, json};
-
-use crate::commands::simulate::inputs::Inputs;
 
 pub(crate) use crate::args::generator::GeneratorArgs;
 
@@ -72,11 +74,12 @@ impl Opened {
     /// Creates the generator. `follow_log`: whether ego and other actors follow the log in the whole rollout.
     pub(crate) fn session<'a>(
         self,
-        inputs: &'a Inputs,
+        log: &'a Log,
+        map: Option<Arc<SceneMap>>,
+        prompt: &PromptParts,
         follow_log: [bool; 2],
     ) -> anyhow::Result<Box<dyn ImageGenerator + 'a>> {
-        let (log, truth) = (inputs.log.recording(), GroundTruthImages::new(inputs.log.reader()));
-        let map = inputs.map.clone();
+        let (log, truth) = (log.recording(), GroundTruthImages::new(log.reader()));
         let (network, captions) = match self {
             Self::Network(network, captions) => (network, captions),
             Self::Images(images) => {
@@ -84,7 +87,7 @@ impl Opened {
             }
         };
         let [ego_follows_log, actors_follow_log] = follow_log;
-        let prompt = &inputs.prompt;
+        let prompt = prompt.prompt().unwrap_or_default();
         let scene = GenerationScene { log, map, prompt, captions, truth, ego_follows_log, actors_follow_log };
         Ok(Box::new(network.session(&scene)?))
     }

@@ -1,15 +1,18 @@
 use std::path::Path;
+use std::sync::Arc;
 
 use clap::Args;
+use point_skeleton::Log;
+use point_skeleton::conditions::write::meta::PromptParts;
 use point_skeleton::dataset::Recording;
+use point_skeleton::scene::SceneMap;
 use pskel_sim::rollout::ImageGenerator;
 use serde_json::Value;
 
 use crate::WrongUsage;
-use crate::commands::simulate::inputs::Inputs;
 
 /// No options.
-#[derive(Debug, Args)]
+#[derive(Clone, Debug, Args)]
 pub(crate) struct GeneratorArgs {}
 
 /// There are no images of another program.
@@ -21,6 +24,16 @@ pub(crate) enum Opened {}
 impl GeneratorArgs {
     pub(crate) fn generates(&self) -> bool {
         false
+    }
+
+    #[cfg(feature = "drive")]
+    pub(crate) fn name(&self) -> Option<String> {
+        None
+    }
+
+    #[cfg(feature = "drive")]
+    pub(crate) fn arguments(&self) -> Vec<String> {
+        Vec::new()
     }
 
     pub(crate) fn check(&self) -> Result<(), WrongUsage> {
@@ -56,7 +69,9 @@ impl Opened {
 
     pub(crate) fn session<'a>(
         self,
-        _inputs: &'a Inputs,
+        _log: &'a Log,
+        _map: Option<Arc<SceneMap>>,
+        _prompt: &PromptParts,
         _follow_log: [bool; 2],
     ) -> anyhow::Result<Box<dyn ImageGenerator + 'a>> {
         match self {}
