@@ -61,6 +61,8 @@ def drive(
     *,
     out: str | PathLike[str] = "out/drive",
     port: int | None = None,
+    generator: str | None = None,
+    generate_hz: float | None = None,
     open_browser: bool = False,
 ) -> Drive:
     """Show a log on a live page in the browser, to look around and to drive in it.
@@ -75,6 +77,10 @@ def drive(
         Folder for saved drives.
     port : int, optional
         Port to listen on; 0 for any free one. By default 8770, or any free one.
+    generator : str, optional
+        Generator of images in the loop, as ``pskel drive --generator``: "network", "network:FILE", "fill", "process:COMMAND", ..
+    generate_hz : float, optional
+        Images that it makes per second. By default the planning rate of the log.
     open_browser : bool, optional
         Whether to open the page in the browser.
 
@@ -94,6 +100,10 @@ def drive(
         options += ["--skeleton", os.fspath(skeleton.path if isinstance(skeleton, Skeleton) else skeleton)]
     if port is not None:
         options += ["--port", str(port)]
+    if generator is not None:
+        options += ["--generator", generator]
+    if generate_hz is not None:
+        options += ["--generate-hz", str(generate_hz)]
     if not open_browser:
         options.append("--no-browser")
     command = [sys.executable, "-m", "pskel", "drive", *source, *options]

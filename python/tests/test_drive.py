@@ -28,6 +28,9 @@ def test_a_page_that_cannot_be_served_is_an_error(tmp_path: Path, capfd: pytest.
     with pytest.raises(pskel.Error, match="exit code 2"):
         pskel.drive("town:seed=x", out=tmp_path / "out")
     assert "seed" in capfd.readouterr().err
+    with pytest.raises(pskel.Error, match="exit code 2"):
+        pskel.drive(TOWN, out=tmp_path / "out", generate_hz=5.0)
+    assert "expected --generator with --generate-hz" in capfd.readouterr().err
 
 
 def test_the_options_of_a_log_are_passed_on(tmp_path: Path) -> None:

@@ -12,7 +12,6 @@ import pytest
 from pskel import _types
 
 ROOT = Path(__file__).parent.parent
-ENVIRONMENT = {**os.environ, "MYPY_CACHE_DIR": os.devnull}
 PLAIN = ["examples/own_points.py", "examples/render_frame.py", "examples/drive.py"]
 TORCH = ["examples/train.py", "examples/reset_and_roll.py"]
 MODELS = ["pskel/models"]
@@ -33,22 +32,28 @@ PARTS = [
 ]
 
 
+@pytest.fixture(scope="module")
+def environment(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
+    """One cache for all runs of mypy: the types of large packages are read once."""
+    return {**os.environ, "MYPY_CACHE_DIR": str(tmp_path_factory.mktemp("mypy"))}
+
+
 @pytest.mark.parametrize(("extra", "examples"), PARTS)
-def test_package_and_examples_are_typed(extra: str, examples: list[str]) -> None:
+def test_package_and_examples_are_typed(extra: str, examples: list[str], environment: dict[str, str]) -> None:
     pytest.importorskip("mypy")
     pytest.importorskip(extra)
     done = subprocess.run(
         [sys.executable, "-m", "mypy", "--strict", *examples],
-        cwd=ROOT, env=ENVIRONMENT, capture_output=True, text=True, check=False,
+        cwd=ROOT, env=environment, capture_output=True, text=True, check=False,
     )  # fmt: skip
     assert done.returncode == 0, done.stdout
 
 
-def test_stubs_describe_the_extension() -> None:
+def test_stubs_describe_the_extension(environment: dict[str, str]) -> None:
     pytest.importorskip("mypy")
     done = subprocess.run(
         [sys.executable, "-m", "mypy.stubtest", "pskel._pskel"],
-        cwd=ROOT / "tests", env=ENVIRONMENT, capture_output=True, text=True, check=False,
+        cwd=ROOT / "tests", env=environment, capture_output=True, text=True, check=False,
     )  # fmt: skip
     assert done.returncode == 0, done.stdout + done.stderr
 
