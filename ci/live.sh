@@ -2,8 +2,8 @@
 # Tests the live page in a browser: ci/live.sh PSKEL LOG SKELETON [PICTURES]
 #
 # PSKEL is the program, LOG a log and SKELETON its skeleton. Headless Chromium opens the page that `pskel drive` serves, with
-# #selftest: keyboard and mouse visit all maps, move the ego, pick, hide, drive, save, and lose the connection. Then it does
-# random things with #random. Screenshots are written to the folder PICTURES, if given. SIZE (default 64x112: programs
+# #selftest: keyboard and mouse visit all maps, generate, move the ego, pick, hide, drive, save, and lose the connection. Then
+# it does random things with #random. Screenshots are written to the folder PICTURES, if given. SIZE (default 64x112: programs
 # without optimization are slow) is the size of the maps in the test, `full` keeps the usual one; MOVES (default 150) is the
 # number of random things. Chromium is installed with apt if it is missing.
 set -euo pipefail
@@ -25,7 +25,14 @@ stop() {
 trap stop EXIT
 . "$(dirname "$0")/browser.sh"
 
-"$program" drive "$log" --skeleton "$skeleton" --out "$scratch/drives" --port 0 --no-browser >"$scratch/url" 2>"$scratch/log" &
+size=${SIZE:-64x112}
+generator=(--generator fill)
+if [ "$size" != full ]; then
+    printf '{"drawn": "%s", "size": "%s"}' "$size" "$size" >"$scratch/recipe.json"
+    generator+=(--recipe "$scratch/recipe.json")
+fi
+"$program" drive "$log" --skeleton "$skeleton" --out "$scratch/drives" --port 0 --no-browser "${generator[@]}" \
+    >"$scratch/url" 2>"$scratch/log" &
 server=$!
 for _ in $(seq 600); do
     [ -s "$scratch/url" ] && break
@@ -49,7 +56,6 @@ visit() {
     esac
 }
 
-size=${SIZE:-64x112}
 if [ "$size" = full ]; then visit 1280,720 selftest; else visit 1280,720 "selftest&size=$size"; fi
 visit 1280,720 "random=${MOVES:-150}&seed=1"
 kill -0 "$server" || { say "the server has ended"; exit 1; }

@@ -38,7 +38,8 @@ pub(crate) struct Drawn {
     pub(crate) view: View,
     pub(crate) options: MapOptions,
     pub(crate) traces: Vec<Trace>,
-    /// Whether the actors are those of the log.
+    /// Whether the ego, and the actors, are those of the log.
+    pub(crate) ego_follows_log: bool,
     pub(crate) actors_follow_log: bool,
     /// Newest generated images.
     pub(crate) generated: Option<Arc<Generated>>,
@@ -85,10 +86,13 @@ impl<'a> Encoder<'a> {
     /// Returns the error of a recorded image or of an encoder.
     pub(crate) fn encode(&self, drawn: Drawn) -> Result<(u64, Vec<u8>), String> {
         let start = Instant::now();
-        let Drawn { mut header, state, set, view, options, traces, actors_follow_log, generated } = drawn;
+        let Drawn { mut header, state, set, view, options, traces, generated, .. } = drawn;
+        let Drawn { ego_follows_log, actors_follow_log, .. } = drawn;
         let size = view.image_size();
         let mut recorded = self.recorded(&state, &view, size, actors_follow_log, &options)?;
-        for camera in &set.cameras {
+        // A recorded image of another pose says nothing about the map.
+        let is_truth = GroundTruthImages::new(self.reader).are_known(ego_follows_log, actors_follow_log);
+        for camera in set.cameras.iter().filter(|_| is_truth) {
             if let Some((truth, color)) = recorded.get(camera.name.as_str()).zip(camera.color.as_ref()) {
                 let psnr_db = compare_filled(color, truth).psnr_db;
                 if psnr_db.is_finite() {

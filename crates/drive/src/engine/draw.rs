@@ -7,7 +7,7 @@ use point_skeleton::conditions::birdseye::Trace;
 use point_skeleton::conditions::{ConditionSet, MapKind};
 use point_skeleton::error::with_causes;
 use point_skeleton::raster::MapSet;
-use point_skeleton::scene::SceneState;
+use point_skeleton::scene::{EgoOffset, SceneState};
 use pskel_sim::ActorPolicy;
 
 use super::{Desk, Engine, Stage, command, live, look};
@@ -45,17 +45,31 @@ impl Engine<'_> {
         };
         let draw_s = start.elapsed().as_secs_f64();
         self.frame += 1;
-        let actors_follow_log = match &self.stage {
-            Stage::Look(_) => true,
-            Stage::Live(live) => live.takeover.is_none() || live.beginning.actors == ActorPolicy::Replay,
-        } && self.view.hide.is_empty();
+        let (ego_follows_log, actors_follow_log) = match &self.stage {
+            Stage::Look(look) => (look.offset == EgoOffset::default(), true),
+            Stage::Live(live) => {
+                let is_warm_up = live.takeover.is_none();
+                (is_warm_up, is_warm_up || live.beginning.actors == ActorPolicy::Replay)
+            }
+        };
+        let actors_follow_log = actors_follow_log && self.view.hide.is_empty();
         let header = self.header(&state, draw_s);
         let (traces, view) = (self.traces(), self.view.clone());
         let generated = match &self.stage {
             Stage::Live(_) => self.generation.latest(),
             Stage::Look(_) => None,
         };
-        let drawn = Drawn { header, state, set, view, options, traces, actors_follow_log, generated };
+        let drawn = Drawn {
+            header,
+            state,
+            set,
+            view,
+            options,
+            traces,
+            ego_follows_log,
+            actors_follow_log,
+            generated,
+        };
         desk.sender.send(drawn).map_err(|_| DriveError::Encoder)
     }
 

@@ -388,7 +388,8 @@ impl<'a> Engine<'a> {
     fn tell_who_waits(&self) {
         let missing = self.generation.missing_references();
         if matches!(&self.stage, Stage::Live(live) if live.is_wanted()) && missing > 0 {
-            let text = format!("the log drives until {missing} more reference images are there");
+            let images = if missing == 1 { "image" } else { "images" };
+            let text = format!("the log drives until {missing} more reference {images} are there");
             self.hub.tell(None, ServerMessage::Notice { level: "info", text: &text }.json());
         }
     }
