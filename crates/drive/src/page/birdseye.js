@@ -2,7 +2,7 @@
 
 import { make } from "./plots.js";
 import { send, sendSoon } from "./connection.js";
-import { emit, on, simulating, state } from "./store.js";
+import { emit, on, onCalm, simulating, state } from "./store.js";
 import { byId, setText } from "./widgets.js";
 
 const REACH_M = 40;
@@ -14,6 +14,8 @@ const TURN_DEG = 2;
 let drag = null;
 let selected = null; // track
 const shapes = [];
+let path = null; // of the picked actor: recorded centers, global meters
+let line = null;
 
 export function startBirdseye() {
   const canvas = byId("birdseye");
@@ -22,7 +24,14 @@ export function startBirdseye() {
     if (!state.view.birdseye) send("view", { birdseye: { reach_m: REACH_M, side_px: side } });
   });
   on("frame", draw);
-  on("select", (track) => { selected = track; });
+  onCalm(({ header }) => {
+    const text = simulating() ? "a simulation moves the ego: choose Log to move it" : "drag: move the ego, wheel or shift: turn";
+    setText(byId("birdseye-hint"), text);
+    byId("above").classList.toggle("movable", !simulating());
+    if (!drag) actors(header);
+  });
+  on("select", (track) => { selected = track; path = null; });
+  on("path", (centers) => { path = centers; });
   const svg = byId("birdseye-actors");
   svg.addEventListener("pointerdown", begin);
   svg.addEventListener("pointermove", move);
@@ -33,17 +42,15 @@ export function startBirdseye() {
 
 function draw({ header, images }) {
   const image = images.find(({ camera, map }) => camera === "" && map === "birdseye");
-  setText(byId("birdseye-hint"), simulating() ? "a simulation moves the ego: choose Log to move it" : "drag: move the ego, wheel or shift: turn");
-  byId("above").classList.toggle("movable", !simulating());
   if (drag) return; // the ground rests while the ego is moved over it
-  if (image?.bitmap) paint(image.bitmap);
-  actors(header);
+  if (image?.bitmap) paint(image);
+  if (selected !== null) actors(header); // its outline moves with it
 }
 
-function paint(bitmap) {
+function paint({ width, height, bitmap }) {
   const canvas = byId("birdseye");
-  if (canvas.width !== bitmap.width || canvas.height !== bitmap.height) [canvas.width, canvas.height] = [bitmap.width, bitmap.height];
-  canvas.getContext("2d").drawImage(bitmap, 0, 0);
+  if (canvas.width !== width || canvas.height !== height) [canvas.width, canvas.height] = [width, height];
+  canvas.getContext("2d", { alpha: false }).drawImage(bitmap, 0, 0);
 }
 
 const reach = (header) => header?.birdseye?.reach_m ?? header?.reach_m ?? state.view.birdseye?.reach_m ?? REACH_M;
@@ -56,6 +63,9 @@ function actors(header) {
   const { x: ex = 0, y: ey = 0, yaw_rad: yaw = 0 } = header.ego ?? {};
   const [cos, sin] = [Math.cos(yaw), Math.sin(yaw)];
   const list = header.actors ?? [];
+  line ??= svg.appendChild(make("polyline", { class: "path" }));
+  const inView = (x, y) => `${(y - ey) * -cos + (x - ex) * sin},${-((x - ex) * cos + (y - ey) * sin)}`;
+  line.setAttribute("points", (path ?? []).map(([x, y]) => inView(x, y)).join(" "));
   while (shapes.length < list.length) shapes.push(svg.appendChild(make("rect", { class: "actor" })));
   shapes.forEach((shape, i) => {
     const actor = list[i];

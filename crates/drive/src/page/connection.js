@@ -137,6 +137,16 @@ function receiveFrame(buffer) {
 
 const acknowledge = (header) => send("ack", { frame: header.frame });
 
+// An image that a canvas can draw. WebCodecs needs no Blob, whose bytes pass through another process; it is there on
+// secure origins, such as this computer.
+async function decoded({ bytes, type }) {
+  if (!("ImageDecoder" in window)) return createImageBitmap(new Blob([bytes], { type }));
+  const decoder = new ImageDecoder({ data: bytes, type });
+  const { image } = await decoder.decode();
+  decoder.close();
+  return image;
+}
+
 // All images of a frame are drawn at once, after the last is decoded.
 async function decode() {
   decoding = true;
@@ -144,7 +154,7 @@ async function decode() {
     const { header, images } = waiting;
     const start = performance.now();
     waiting = null;
-    const bitmaps = await Promise.all(images.map(({ blob }) => createImageBitmap(blob).catch(() => null)));
+    const bitmaps = await Promise.all(images.map((image) => decoded(image).catch(() => null)));
     state.frame = header;
     emit("frame", { header, images: images.map((image, i) => ({ ...image, bitmap: bitmaps[i] })) });
     emit("drawn", { ms: performance.now() - start });

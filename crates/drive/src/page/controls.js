@@ -2,7 +2,7 @@
 
 import { make } from "./plots.js";
 import { send, sendSoon } from "./connection.js";
-import { emit, on, simulating, state } from "./store.js";
+import { emit, on, onCalm, simulating, state } from "./store.js";
 import { button, byId, choice, field, select, setField, setText, slider } from "./widgets.js";
 
 const TABS = [["pose", "Pose"], ["simulation", "Drive"], ["drawing", "Drawing"], ["inspector", "Picked"]];
@@ -56,7 +56,7 @@ function pose() {
     held = {};
     send("look", { forward_m: 0, left_m: 0, yaw_deg: 0, camera: { up_m: 0, pitch_deg: 0 } });
   }));
-  on("frame", ({ header }) => {
+  onCalm(({ header }) => {
     for (const [name, slider] of sliders) {
       const value = header.offset?.[name];
       if (typeof value === "number") slider.set(value);
@@ -70,7 +70,7 @@ function pose() {
 
 function simulation() {
   const panel = byId("simulation");
-  const hz = field(panel, "Steps per second", make("input", { type: "number", min: 1, max: 100, step: 1, id: "hz" }), () => {});
+  field(panel, "Steps per second", make("input", { type: "number", min: 2, max: 100, step: 1, value: 20, id: "hz" }), () => {});
   const actors = field(panel, "Other actors", select([["replay", "as recorded"], ["idm", "reactive (IDM)"]], { id: "actors" }), () => {});
   panel.append(button("Simulate from here", () => simulate(), { id: "simulate" }));
   const save = panel.appendChild(make("form", { class: "bar", id: "save" }));
@@ -86,20 +86,22 @@ function simulation() {
   const saved = panel.appendChild(make("p", { class: "hint", id: "saved", role: "status" }));
   let group = null;
   on("hello", (hello) => {
-    setField(hz, hello.rates?.sim_hz ?? hello.rates?.[0] ?? 10);
     group = choice(byId("drivers"), (hello.drivers ?? []).map((name) => [name, name.replaceAll("_", " "), name === "log" ? "key L" : name === "person" ? "a key of driving takes the wheel" : "policy"]), (by) => {
       if (!simulating()) simulate();
       handOver(by);
     });
   });
-  on("frame", ({ header }) => {
+  onCalm(({ header }) => {
     group?.set(simulating() ? header.by : null);
     saveButton.disabled = !simulating();
   });
   on("saved", (message) => {
     const page = typeof message.page === "string" && message.page.startsWith("/") && !message.page.startsWith("//") ? message.page : null;
     saved.replaceChildren(`Saved in ${message.folder}. `);
-    if (page) saved.append(make("a", { href: page, target: "_blank", rel: "noopener" }, "Open its page"));
+    for (const [path, text] of [[page, "Its page"], [message.video, "video"]]) {
+      if (path) saved.append(make("a", { href: path, target: "_blank", rel: "noopener" }, text), " ");
+    }
+    if (message.mcap) saved.append(`MCAP: ${message.mcap}`);
     if (message.command) saved.append(make("code", {}, message.command));
     openTab("simulation");
   });

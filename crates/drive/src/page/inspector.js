@@ -23,6 +23,7 @@ export function startInspector() {
     picked = message;
     show();
     emit("select", message.track ?? null);
+    emit("path", message.actor?.path ?? []);
   });
   on("select", (track) => {
     if (track === (picked?.track ?? null)) return;
@@ -52,6 +53,7 @@ function pixelTable({ camera, x, y, depth_m, class: name, point, rgb }) {
     ["Class", CLASSES[name] ?? name],
     ["Point", Array.isArray(point) ? `${point.map((value) => fixed(Number(value), 2)).join("  ")} m` : null],
     ["Color", Array.isArray(rgb) ? rgb.join(" ") : null],
+    ["Source sweep", "not kept in skeletons"],
   ]);
   if (Array.isArray(rgb)) {
     const swatch = make("i", { class: "color" });
@@ -69,10 +71,12 @@ function actorTable(track, actor) {
   return table([
     ["Actor", actor?.category ?? known?.category],
     ["Track", track.length > 16 ? `\u2026${track.slice(-12)}` : track],
-    ["Points", actor?.points ?? known?.points],
-    ["Template", typeof actor?.template === "boolean" ? (actor.template ? "yes" : "no") : actor?.template],
+    ["Asset", actor ? actor.asset ?? "none" : known?.points ? `${known.points} points` : "none"],
+    ["Geometry of", typeof actor?.template === "boolean" ? (actor.template ? "a template" : "its own points") : null],
     ["Size", Array.isArray(size) ? `${size.map((value) => fixed(Number(value), 1)).join(" x ")} m` : null],
-    ["Speed", number(actor?.speed_mps, 1, "m/s")],
+    ["Recorded speed", number(actor?.speed_mps, 1, "m/s")],
+    ["From the ego", number(actor?.distance_m, 1, "m")],
+    ["Boxes", actor?.boxes ?? known?.boxes],
     ["In the log", known ? `${seconds(known.first_us)} to ${seconds(known.last_us)} s` : null],
   ]);
 }

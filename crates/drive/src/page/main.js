@@ -3,6 +3,7 @@
 import { startBirdseye } from "./birdseye.js";
 import { connect } from "./connection.js";
 import { startControls } from "./controls.js";
+import { startGenerator } from "./generator.js";
 import { startInspector } from "./inspector.js";
 import { startKeys } from "./keys.js";
 import { startStatus } from "./status.js";
@@ -16,7 +17,7 @@ const testing = visit || random;
 const finished = testing ? holdLoading() : null;
 const test = testing ? await import("./selftest.js") : null;
 test?.watchErrors();
-for (const start of [startStatus, startView, startBirdseye, startControls, startTimeline, startTraces, startInspector, startKeys]) start();
+for (const start of [startStatus, startView, startBirdseye, startControls, startGenerator, startTimeline, startTraces, startInspector, startKeys]) start();
 connect();
 if (random) test.run(() => test.randomTest(Number(random[1]), Number(random[2] ?? 1))).then(finished);
 else test?.run(() => test.selfTest(visit[1] ? [Number(visit[1]), Number(visit[2])] : null)).then(finished);

@@ -2,7 +2,7 @@
 
 import { fixed } from "./plots.js";
 import { send } from "./connection.js";
-import { driverText, on, simulating, state } from "./store.js";
+import { driverText, on, onCalm, simulating, state } from "./store.js";
 import { byId, setText } from "./widgets.js";
 
 const cover = { lost: null, progress: null, refused: null };
@@ -34,12 +34,15 @@ export function startStatus() {
     cover.progress = message;
     showCover();
   });
-  on("frame", ({ header }) => {
+  on("frame", () => {
     const now = performance.now();
     shown.push(now);
     while (shown[0] < now - 1000) shown.shift();
+    if (!cover.progress && byId("cover").hidden) return;
     cover.progress = null;
     showCover();
+  });
+  onCalm(({ header }) => {
     showState(header);
     showStats(header);
   });

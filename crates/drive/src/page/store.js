@@ -17,6 +17,40 @@ export function on(name, listener) {
   listeners.get(name).push(listener);
 }
 
+/** Time between texts, ms. */
+const CALM_MS = 200;
+let newest = null;
+let calmTimer = null;
+let calmedAt = -Infinity;
+let shownState = "";
+
+/** Calls `listener` with the newest frame, five times a second: for texts, whose layout costs more than pictures. */
+export function onCalm(listener) {
+  if (!listeners.has("calm")) on("frame", calm);
+  on("calm", listener);
+}
+
+// What keys and buttons change is shown at once.
+function calm(frame) {
+  const { mode, by, playing, ended, takeover, speed } = frame.header;
+  const key = [mode, by, playing, ended, takeover, speed].join();
+  const wait = key === shownState ? calmedAt + CALM_MS - performance.now() : 0;
+  newest = frame;
+  shownState = key;
+  if (wait > 0) {
+    calmTimer ??= setTimeout(emitCalm, wait);
+    return;
+  }
+  clearTimeout(calmTimer);
+  emitCalm();
+}
+
+function emitCalm() {
+  calmTimer = null;
+  calmedAt = performance.now();
+  emit("calm", newest);
+}
+
 /** Calls the listeners of `name` in the order of registration. An error in one does not stop the others. */
 export function emit(name, data) {
   for (const listener of listeners.get(name) ?? []) {

@@ -3,7 +3,7 @@
 import { fixed, make } from "./plots.js";
 import { send, sendSoon } from "./connection.js";
 import { simulate } from "./controls.js";
-import { on, simulating, state } from "./store.js";
+import { on, onCalm, simulating, state } from "./store.js";
 import { byId, choice, setText } from "./widgets.js";
 
 const SPEEDS = [0.1, 0.25, 0.5, 1, 2, 4];
@@ -35,7 +35,8 @@ export function startTimeline() {
     slider.step = 1000;
     marks();
   });
-  on("frame", ({ header }) => show(header));
+  on("frame", ({ header }) => note(header));
+  onCalm(({ header }) => show(header));
 }
 
 const frames = () => state.hello?.frames_us ?? [];
@@ -89,6 +90,10 @@ function show(header) {
   const total = (frames()[frames().length - 1] - first()) / 1e6;
   const where = simulation ? `step ${header.step ?? 0}` : `frame ${frameIndex() + 1} of ${frames().length}`;
   setText(byId("now"), `${where}, ${fixed(header.t_s ?? 0, 2)}${simulation ? "" : ` of ${fixed(total, 2)}`} s`);
+}
+
+function note(header) {
+  const simulation = simulating();
   // A reset begins anew, and so does another simulation.
   const restarted = simulation ? lastStep === null || header.step < lastStep : lastStep !== null;
   lastStep = simulation ? header.step : null;

@@ -2,7 +2,9 @@
 
 import { fixed, make } from "./plots.js";
 import { address, send } from "./connection.js";
-import { emit, on, state } from "./store.js";
+import { generate, generatedOrigin, generatorMode } from "./generator.js";
+import { emit, on, onCalm, state } from "./store.js";
+import { notice } from "./status.js";
 import { button, byId, choice, fill, select, setText } from "./widgets.js";
 
 const LAYERS = [["alone", "alone"], ["beside", "beside"], ["blend", "blend"], ["swipe", "swipe"]];
@@ -27,11 +29,10 @@ export function mapOf(camera) {
   return (layout.layer === "alone" ? maps[0] : maps.find((map) => map !== layout.second)) ?? maps[0] ?? null;
 }
 
-/** Words for the origin of a picture. */
+/** Words for the origin of a picture, and its kind: drawn, recorded or generated. */
 function origin(map) {
-  if (map === "recorded") return "recorded";
-  if (map === "generated") return "generated";
-  return "drawn";
+  if (map === "recorded") return ["recorded", "recorded"];
+  return map === "generated" ? generatedOrigin() : ["drawn", "drawn"];
 }
 
 export function startView() {
@@ -53,6 +54,7 @@ export function startView() {
   on("hello", build);
   on("view", () => { labels(); arrange(); });
   on("frame", draw);
+  onCalm(numbers);
   on("picked", mark);
   labels();
   window.addEventListener("resize", arrange);
@@ -77,7 +79,7 @@ function cell({ name }, maps) {
   const marker = make("span", { class: "marker", hidden: "" });
   const handle = make("span", { class: "handle", role: "slider", tabindex: 0, "aria-label": "Border between the two pictures", "aria-valuemin": 0, "aria-valuemax": 100 });
   const map = select(maps.map((map) => [map, map]), { "aria-label": `Map of camera ${shortName(name)}` });
-  const [from, second, psnr] = [make("span", { class: "origin" }), make("span", { class: "origin" }), make("span", { class: "psnr numbers" })];
+  const [from, second, psnr] = [make("span", { class: "origin" }), make("span", { class: "origin" }), make("span", { class: "psnr numbers", title: "PSNR of the color map against the recorded image" })];
   const scale = make("span", { class: "scale numbers", hidden: "" });
   const [near, far] = [make("span", {}, "0 m"), make("span")];
   scale.append(near, make("i"), far);
@@ -140,6 +142,10 @@ function requestMaps(first) {
   if (!lists.length || lists.some(([, [map]]) => !map)) return;
   const same = lists.every(([, list]) => list.join() === lists[0][1].join());
   send("view", { maps: same ? lists[0][1] : Object.fromEntries(lists) });
+  if (lists.some(([, list]) => list.includes("generated")) && generatorMode() === "off") {
+    generate("lockstep");
+    notice("The simulation waits for generated images (lockstep). The panel Drive has the choice.");
+  }
 }
 
 function secondOf(camera) {
@@ -159,17 +165,24 @@ function labels() {
   for (const [name, cell] of cells) {
     const map = mapOf(name), second = secondOf(name);
     if (map && document.activeElement !== cell.map) cell.map.value = map;
-    setText(cell.from, map ? origin(map) : "");
-    cell.from.dataset.origin = map ? origin(map) : "";
-    setText(cell.second, second ? `${second}${origin(second) === second ? "" : ` ${origin(second)}`}` : "");
-    cell.second.dataset.origin = second ? origin(second) : "";
+    origins(cell, map, second);
     cell.node.classList.toggle("paired", Boolean(second));
     cell.scale.hidden = map !== "depth" && second !== "depth";
     setText(cell.far, far);
     if (map) cell.png.href = address("/picture", { camera: name, map });
+    cell.png.hidden = map === "recorded";
     cell.pictures[0].setAttribute("aria-label", `Camera ${shortName(name)}: ${map}`);
     cell.pictures[1].setAttribute("aria-label", `Camera ${shortName(name)}: ${second}`);
   }
+}
+
+function origins(cell, map, second) {
+  const [text, kind] = map ? origin(map) : ["", ""];
+  setText(cell.from, text);
+  cell.from.dataset.origin = kind;
+  const [secondText, secondKind] = second ? origin(second) : ["", ""];
+  setText(cell.second, secondText === "drawn" ? `${second} drawn` : secondText);
+  cell.second.dataset.origin = secondKind;
 }
 
 function arrange() {
@@ -193,22 +206,37 @@ function arrange() {
 }
 
 function draw({ header, images }) {
-  for (const { camera, map, bitmap } of images) {
+  for (const { camera, map, width, height, bitmap } of images) {
     const cell = cells.get(camera);
     if (!cell || !bitmap) continue;
     const slot = map === mapOf(camera) ? 0 : map === secondOf(camera) ? 1 : -1;
     if (slot < 0) continue;
     const canvas = cell.pictures[slot];
-    if (canvas.width !== bitmap.width || canvas.height !== bitmap.height) [canvas.width, canvas.height] = [bitmap.width, bitmap.height];
-    canvas.getContext("2d").drawImage(bitmap, 0, 0);
-    canvas.dataset.map = map;
+    if (canvas.width !== width || canvas.height !== height) [canvas.width, canvas.height] = [width, height];
+    canvas.getContext("2d", { alpha: false }).drawImage(bitmap, 0, 0);
+    if (canvas.dataset.map !== map) canvas.dataset.map = map;
   }
+  // Without an image the cell must not keep another.
+  for (const [name, cell] of cells) {
+    for (const [canvas, map] of [[cell.pictures[0], mapOf(name)], [cell.pictures[1], secondOf(name)]]) {
+      if (map === "generated" && !images.some((image) => image.camera === name && image.map === map)) clear(canvas);
+    }
+  }
+  for (const cell of cells.values()) if (cell.mark && header.t_us !== cell.mark.t_us) { cell.mark = null; place(cell); }
+}
+
+function clear(canvas) {
+  if (!canvas.dataset.map) return;
+  canvas.getContext("2d", { alpha: false }).fillRect(0, 0, canvas.width, canvas.height);
+  canvas.dataset.map = "";
+}
+
+function numbers({ header }) {
   const all = Array.isArray(header.psnr_db) ? Object.fromEntries(header.psnr_db) : header.psnr_db;
   for (const [name, cell] of cells) {
-    const psnr = all?.[name];
-    setText(cell.psnr, typeof psnr === "number" && mapOf(name) === "color" ? `${fixed(psnr, 1)} dB` : "");
-    cell.psnr.title = "PSNR of the color map against the recorded image";
-    if (cell.mark && header.t_us !== cell.mark.t_us) { cell.mark = null; place(cell); }
+    const psnr = all?.[name], map = mapOf(name), second = secondOf(name);
+    if (map === "generated" || second === "generated") origins(cell, map, second);
+    setText(cell.psnr, typeof psnr === "number" && map === "color" ? `${fixed(psnr, 1)} dB` : "");
   }
 }
 

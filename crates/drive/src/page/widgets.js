@@ -28,7 +28,10 @@ export function choice(parent, options, action) {
     return node;
   });
   return {
-    set: (value) => buttons.forEach((node) => node.setAttribute("aria-pressed", node.dataset.value === String(value))),
+    set: (value) => buttons.forEach((node) => {
+      const is = String(node.dataset.value === String(value));
+      if (node.getAttribute("aria-pressed") !== is) node.setAttribute("aria-pressed", is);
+    }),
     disable: (disabled) => buttons.forEach((node) => { node.disabled = disabled; }),
   };
 }
