@@ -372,7 +372,10 @@ export async function selfTest(size = null) {
 /** Does `count` random things; the page must then still show pictures, and no script may have failed. */
 export async function randomTest(count, seed) {
   await until(() => state.frame, "the first picture", 300000);
-  let s = seed >>> 0;
+  // A reload of the page goes on where it was.
+  const kept = JSON.parse(sessionStorage.getItem("random") ?? "null") ?? { first: 0, s: seed >>> 0, cuts: 0, reloads: 0 };
+  sessionStorage.removeItem("random");
+  let { s, cuts, reloads } = kept;
   const random = () => { // mulberry32
     s = (s + 0x6d2b79f5) >>> 0;
     let t = Math.imul(s ^ (s >>> 15), s | 1);
@@ -396,13 +399,19 @@ export async function randomTest(count, seed) {
     drag: () => drag(above, somewhere(above), somewhere(above), { shiftKey: random() < 0.3 }),
     wheel: () => above.dispatchEvent(new WheelEvent("wheel", { deltaY: random() - 0.5, bubbles: true, cancelable: true })),
     width: () => { document.body.style.width = one(["", "420px", "800px", "1280px"]); window.dispatchEvent(new Event("resize")); },
-    cut: () => { if (random() < 0.2) cut(); },
+    cut: () => { if (random() < 0.2) { cuts++; cut(); } },
+    reload: (next) => {
+      if (random() > 0.1) return null;
+      sessionStorage.setItem("random", JSON.stringify({ first: next, s, cuts, reloads: reloads + 1 }));
+      location.reload();
+      return new Promise(() => {});
+    },
   };
   const names = Object.keys(moves);
-  for (let i = 0; i < count; i++) {
+  for (let i = kept.first; i < count; i++) {
     const name = one(names);
     try {
-      await moves[name]();
+      await moves[name](i + 1);
     } catch (error) {
       throw new Error(`move ${i + 1} (${name}): ${error.message}`);
     }
@@ -418,5 +427,5 @@ export async function randomTest(count, seed) {
   if (simulating()) choose("modes", "look");
   await until(() => !simulating() && received > 0, "pictures after all moves", 20000);
   fits();
-  return `PASS: ${count} random moves, seed ${seed}, ${notices.length} notices of errors${notices.length ? `: ${[...new Set(notices)].slice(0, 3).join("; ")}` : ""}`;
+  return `PASS: ${count} random moves, seed ${seed}, ${cuts} cuts, ${reloads} reloads, ${notices.length} notices of errors${notices.length ? `: ${[...new Set(notices)].slice(0, 3).join("; ")}` : ""}`;
 }
