@@ -19,8 +19,8 @@ use point_skeleton::scene::{GroundTruthImages, SceneState};
 use pskel_eval::compare_filled;
 use rayon::prelude::*;
 
-use crate::engine::Generated;
 use crate::frame::{Header, ImageHeader, packed};
+use crate::generated::Generated;
 use crate::hub::Hub;
 use crate::message::ServerMessage;
 use crate::view::{Codec, GENERATED, RECORDED, Shown, View};

@@ -2,7 +2,7 @@
 
 use serde::Serialize;
 
-use crate::engine::GeneratedHeader;
+use crate::generated::GeneratedHeader;
 use crate::message::to_json;
 
 /// Header of a frame.

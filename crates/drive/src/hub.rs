@@ -8,7 +8,7 @@ use axum::body::Bytes;
 use axum::extract::ws::Utf8Bytes;
 use tokio::sync::{broadcast, watch};
 
-use crate::engine::Made;
+use crate::generated::Made;
 use crate::message::{Command, ServerMessage};
 
 /// Number of messages that a client can be behind before it misses some.

@@ -11,7 +11,9 @@ mod encode;
 mod engine;
 mod error;
 mod frame;
+mod generated;
 mod hub;
+mod inputs;
 mod message;
 mod options;
 mod server;
@@ -22,8 +24,8 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::channel;
 
-pub use engine::{Inputs, LiveGenerator, OpenGenerator};
 pub use error::DriveError;
+pub use inputs::{Inputs, LiveGenerator, OpenGenerator};
 pub use options::DriveOptions;
 
 use crate::hub::Hub;

@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::engine::Mode;
+use crate::generated::Mode;
 use crate::view::ViewChange;
 
 /// Version of the messages; page and server are of one program, and other programs can compare it.

@@ -14,65 +14,13 @@ use std::time::Instant as Clock;
 use point_skeleton::error::with_causes;
 use point_skeleton::scene::SubstituteOptions;
 use point_skeleton::{RenderOptions, Renderer};
-use pskel_sim::report::images::StepImages;
 use pskel_sim::rollout::{AnyError, ImageGenerator};
 use pskel_sim::{Committed, Forecast, Instant, Simulation};
-use serde::{Deserialize, Serialize};
-use serde_json::Value;
 
-use super::Inputs;
+use crate::generated::{Generated, GeneratedHeader, Made, Mode};
 use crate::hub::{Hub, Input};
+use crate::inputs::{Inputs, LiveGenerator};
 use crate::options::DriveOptions;
-
-/// Generator of camera images.
-pub struct LiveGenerator {
-    /// Name on the page.
-    pub name: String,
-    /// Images per second.
-    pub hz: f64,
-    /// Number of frames in its window; all but one are references at the beginning.
-    pub window: usize,
-    /// Arguments of the command line that choose it.
-    pub arguments: Vec<String>,
-    /// Network and options for `rollout.json`.
-    pub record: Value,
-    /// Line for the page of a rollout.
-    pub fact: String,
-    /// Starts a session.
-    pub open: Box<OpenGenerator>,
-}
-
-/// Starts a session for the log of the inputs; the flag is whether its actors follow the log.
-pub type OpenGenerator =
-    dyn for<'a> Fn(&'a Inputs, bool) -> Result<Box<dyn ImageGenerator + 'a>, AnyError> + Send + Sync;
-
-/// Whether images are generated, and what waits for them.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub(crate) enum Mode {
-    /// No images are generated.
-    #[default]
-    Off,
-    /// The simulation waits for each image.
-    Lockstep,
-    /// The simulation goes on.
-    Beside,
-}
-
-/// Generated images of a step.
-pub(crate) struct Generated {
-    pub(crate) step: usize,
-    pub(crate) t_us: i64,
-    pub(crate) images: StepImages,
-    /// Time that it took, seconds.
-    seconds: f64,
-}
-
-/// Answer of the thread.
-pub(crate) struct Made {
-    session: u64,
-    result: Result<Generated, String>,
-}
 
 /// State that is to be generated.
 pub(super) struct Job {
@@ -83,29 +31,6 @@ pub(super) struct Job {
     expected: Vec<Forecast<Instant>>,
     substitutes: SubstituteOptions,
     actors_follow_log: bool,
-}
-
-/// What the page shows of the generator.
-#[derive(Clone, Debug, Serialize)]
-pub(crate) struct GeneratedHeader {
-    mode: Mode,
-    /// Step and time (seconds since the first frame of the log) of the images.
-    step: Option<usize>,
-    t_s: Option<f64>,
-    /// Time from the images to the state that is shown, seconds.
-    behind_s: Option<f64>,
-    /// Whether the images are recorded ones, with which the generator begins.
-    is_reference: bool,
-    /// Number of reference images that are there.
-    references: usize,
-    /// Number of frames, without references, that are generated, and that were skipped.
-    count: usize,
-    skipped: usize,
-    /// Time that the last frame took, seconds.
-    network_s: Option<f64>,
-    /// Whether a frame is being generated.
-    is_waiting: bool,
-    failure: Option<String>,
 }
 
 /// The generator as the engine sees it.

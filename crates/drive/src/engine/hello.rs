@@ -4,8 +4,9 @@ use std::collections::BTreeMap;
 
 use serde::Serialize;
 
+use super::Engine;
 use super::live::{LOG, PERSON, POLICIES};
-use super::{Engine, Mode};
+use crate::generated::Mode;
 use crate::message::{PROTOCOL, to_json};
 use crate::view::{GENERATED, KINDS, RECORDED, View};
 use point_skeleton::MapKind;

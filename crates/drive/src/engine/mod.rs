@@ -10,7 +10,6 @@ mod pace;
 mod pick;
 mod save;
 
-use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, SyncSender, channel, sync_channel};
@@ -19,19 +18,18 @@ use std::time::{Duration, Instant};
 use point_skeleton::dataset::EgoTrack;
 use point_skeleton::error::with_causes;
 use point_skeleton::scene::{SceneMap, SceneState};
-use point_skeleton::skeleton::Skeleton;
-use point_skeleton::{Log, RenderOptions, Renderer};
-use pskel_sim::{ActorPolicy, Rates, Scenario, scene_state};
+use point_skeleton::{RenderOptions, Renderer};
+use pskel_sim::{ActorPolicy, Scenario, scene_state};
 
-pub(crate) use self::generate::{Generated, GeneratedHeader, Made, Mode};
 use self::generate::{Generation, Job};
-pub use self::generate::{LiveGenerator, OpenGenerator};
 use self::live::{Beginning, By, Live};
 use self::look::{At, Look};
 use self::pace::{Pace, SPEEDS};
 use crate::encode::{Drawn, Encoder};
 use crate::error::DriveError;
+use crate::generated::Mode;
 use crate::hub::{ClientId, Hub, Input, Picture};
+use crate::inputs::Inputs;
 use crate::message::{Command, ServerMessage, to_json};
 use crate::options::DriveOptions;
 use crate::view::{Offered, View};
@@ -42,24 +40,6 @@ const LOOK_HZ: f64 = 20.0;
 const MAX_STEPS: u32 = 1000;
 /// Time without a command after which the engine looks whether it is to stop.
 const IDLE: Duration = Duration::from_millis(100);
-
-/// What is shown and driven in.
-pub struct Inputs {
-    /// Log.
-    pub log: Log,
-    /// Name of the log as on the command line.
-    pub log_name: String,
-    /// Arguments of the command line with which the log was opened, such as `--sensor-root DIR`.
-    pub log_arguments: Vec<String>,
-    /// Skeleton that was built from the log.
-    pub skeleton: Skeleton,
-    /// Its folder.
-    pub skeleton_path: PathBuf,
-    /// Default rates of the log.
-    pub rates: Rates,
-    /// Generator of camera images.
-    pub generator: Option<LiveGenerator>,
-}
 
 /// What is shown.
 enum Stage<'a> {

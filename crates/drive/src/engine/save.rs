@@ -16,8 +16,9 @@ use serde::Serialize;
 use serde_json::Value;
 
 use super::live::Live;
-use super::{Desk, Engine, LiveGenerator, Stage, command};
+use super::{Desk, Engine, Stage, command};
 use crate::hub::ClientId;
+use crate::inputs::LiveGenerator;
 use crate::message::{ServerMessage, to_json};
 
 /// Maximum length of a name.
