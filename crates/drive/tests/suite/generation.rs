@@ -16,13 +16,15 @@ use crate::client::{Client, Server};
 
 const WINDOW: usize = 3;
 
+/// Steps and forecast steps of all frames.
+type Seen = Arc<Mutex<Vec<(usize, Vec<usize>)>>>;
+
 /// Images whose red is the step, green the number of forecasts, and blue the session.
 struct Painter {
     session: u8,
     cost: Duration,
     fails_at: Option<usize>,
-    /// Steps and forecast steps of all frames.
-    seen: Arc<Mutex<Vec<(usize, Vec<usize>)>>>,
+    seen: Seen,
 }
 
 impl ImageGenerator for Painter {
@@ -75,8 +77,6 @@ impl ImageGenerator for Painter {
         false
     }
 }
-
-type Seen = Arc<Mutex<Vec<(usize, Vec<usize>)>>>;
 
 /// Returns a generator of 5 images per second, and the frames that it has seen.
 fn painter(cost: Duration, fails_at: Option<usize>) -> (LiveGenerator, Seen) {
