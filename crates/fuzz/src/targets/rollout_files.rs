@@ -20,7 +20,7 @@ use pskel_sim::rollout::{
     AnyError, GenerationTimes, ImageGenerator, InputPaths, MCAP, ResumeAfter, Rollout, RolloutError,
     RolloutInputs, RolloutOptions,
 };
-use pskel_sim::{Committed, Instant, Rates, Scenario, SimOptions, Simulation};
+use pskel_sim::{Committed, Forecast, Instant, Rates, Scenario, SimOptions};
 use serde_json::{Value, json};
 
 use super::{LARGE, edit_seeds, seed};
@@ -59,7 +59,17 @@ struct Painter {
 }
 
 impl ImageGenerator for Painter {
-    fn generate(&mut self, _: &Simulation<'_>, _: &mut Renderer<'_>) -> Result<Option<StepImages>, AnyError> {
+    fn forecasts(&self) -> usize {
+        0
+    }
+
+    fn generate(
+        &mut self,
+        _: usize,
+        _: Committed<&Instant>,
+        _: &[Forecast<Instant>],
+        _: &mut Renderer<'_>,
+    ) -> Result<Option<StepImages>, AnyError> {
         self.frames += 1;
         let image = |level: u8| vec![RgbImage::from_pixel(12, 8, Rgb([level, 40 * self.frames, 90]))];
         Ok(Some(StepImages {
