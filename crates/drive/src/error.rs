@@ -10,7 +10,9 @@ pub enum DriveError {
         log: String,
     },
     /// The server cannot listen.
-    #[error("cannot listen on {address}: {source}")]
+    #[error(
+        "cannot listen on {address}: {source}; another port is chosen with --port, any free one without it"
+    )]
     Listen {
         /// Address.
         address: std::net::SocketAddr,

@@ -420,10 +420,10 @@ mod tests {
         for (json, expected) in [
             (
                 r#"{"maps": ["point"]}"#,
-                "expected the maps color, depth, class, instance, boxes, map or recorded",
+                "expected the maps color, depth, class, instance, boxes, map, recorded, generated, found",
             ),
             (r#"{"maps": ["map"]}"#, "no HD map"),
-            (r#"{"maps": []}"#, "1 to 7 maps"),
+            (r#"{"maps": []}"#, "1 to 8 maps"),
             (r#"{"maps": {"C": ["color"]}}"#, "a camera of A, B, found \"C\""),
             (r#"{"size": [1, 100]}"#, "found 1x100"),
             (r#"{"size": [60000, 60000]}"#, "found 60000x60000"),

@@ -275,7 +275,8 @@ impl<'a> Simulation<'a> {
         self.forecast_every(self.clock.steps_per_plan, plan_steps)
     }
 
-    /// Predicts as [`Simulation::forecast`] does, but `count` instants that are `steps` simulation steps apart.
+    /// Predicts as [`Simulation::forecast`] does, but `count` instants that are `steps` simulation steps
+    /// apart.
     pub fn forecast_every(&self, steps: usize, count: usize) -> Vec<Forecast<Instant>> {
         let mut expected = self.committed.world.get().clone();
         let mut forecast = Vec::new();

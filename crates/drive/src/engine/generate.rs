@@ -1,11 +1,11 @@
 //! Generated images of a simulation, made in a thread with a renderer of its own.
 //!
 //! # How it works
-//! A simulation that begins with a generator starts a session: every `every` steps the committed state and its
-//! forecasts go to the thread, which answers with the images of all cameras through the inputs of the engine.
-//! In lockstep the simulation waits for the answer; beside it, a step that falls due while the thread works is
-//! skipped and counted. The reference images at the beginning are always waited for, and until they are there
-//! the log drives.
+//! A simulation that begins with a generator starts a session: every `every` steps the committed state and
+//! its forecasts go to the thread, which answers with the images of all cameras through the inputs of the
+//! engine. In lockstep the simulation waits for the answer; beside it, a step that falls due while the thread
+//! works is skipped and counted. The reference images at the beginning are always waited for, and until they
+//! are there the log drives.
 
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, Sender};

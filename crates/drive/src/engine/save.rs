@@ -165,7 +165,8 @@ impl Engine<'_> {
         Ok(())
     }
 
-    /// Returns how many steps apart a rollout of the drive plans, and how many plans its warm-up has at least.
+    /// Returns how many steps apart a rollout of the drive plans, and how many plans its warm-up has at
+    /// least.
     fn planning(&self) -> (usize, usize) {
         match self.generation.running() {
             Some(generator) => (self.generation.every(), generator.window),

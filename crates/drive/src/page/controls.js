@@ -71,7 +71,7 @@ function pose() {
 function simulation() {
   const panel = byId("simulation");
   field(panel, "Steps per second", make("input", { type: "number", min: 2, max: 100, step: 1, value: 20, id: "hz" }), () => {});
-  const actors = field(panel, "Other actors", select([["replay", "as recorded"], ["idm", "reactive (IDM)"]], { id: "actors" }), () => {});
+  const actors = field(panel, "Other actors", select([["idm", "reactive (IDM)"], ["replay", "as recorded"]], { id: "actors" }), () => {});
   panel.append(button("Simulate from here", () => simulate(), { id: "simulate" }));
   const save = panel.appendChild(make("form", { class: "bar", id: "save" }));
   const name = make("input", { type: "text", pattern: "[A-Za-z0-9_\\-]+", maxlength: 64, placeholder: "name, optional", "aria-label": "Name of the saved drive" });
@@ -98,10 +98,10 @@ function simulation() {
   on("saved", (message) => {
     const page = typeof message.page === "string" && message.page.startsWith("/") && !message.page.startsWith("//") ? message.page : null;
     saved.replaceChildren(`Saved in ${message.folder}. `);
-    for (const [path, text] of [[page, "Its page"], [message.video, "video"]]) {
+    const mcap = message.mcap ? `/rollouts/${message.name}.mcap` : null;
+    for (const [path, text] of [[page, "Its page"], [message.video, "video"], [mcap, "MCAP"]]) {
       if (path) saved.append(make("a", { href: path, target: "_blank", rel: "noopener" }, text), " ");
     }
-    if (message.mcap) saved.append(`MCAP: ${message.mcap}`);
     if (message.command) saved.append(make("code", {}, message.command));
     openTab("simulation");
   });

@@ -355,6 +355,7 @@ export async function selfTest(size = null) {
   byId("save").requestSubmit();
   await until(() => events.length, "the drive is saved", 60000);
   expect(byId("saved").textContent.includes(events[0].folder), "the folder of the saved drive is shown");
+  expect(byId("cover").hidden, "the progress ends with the saving");
   await sleep(300);
   expect(document.querySelectorAll("#plots path").length >= 3 && [...document.querySelectorAll("#plots path")].every((path) => !path.getAttribute("d").includes("NaN")), "plots");
   press("KeyR");

@@ -38,9 +38,7 @@ export function startStatus() {
     const now = performance.now();
     shown.push(now);
     while (shown[0] < now - 1000) shown.shift();
-    if (!cover.progress && byId("cover").hidden) return;
-    cover.progress = null;
-    showCover();
+    if (cover.progress || !byId("cover").hidden) endProgress();
   });
   onCalm(({ header }) => {
     showState(header);
@@ -49,9 +47,18 @@ export function startStatus() {
   on("drawn", ({ ms }) => { pageMs = pageMs === null ? ms : 0.9 * pageMs + 0.1 * ms; });
   on("who", () => { if (state.frame) showState(state.frame); });
   on("counts", (counts) => { dropped = counts.dropped ?? 0; });
-  on("notice", ({ text, level }) => notice(text, level));
+  on("saved", endProgress);
+  on("notice", ({ text, level }) => {
+    notice(text, level);
+    if (cover.progress && state.frame) endProgress(); // a drive could not be saved
+  });
   byId("take").addEventListener("click", () => send("drive", { take: true }));
   byId("copy").addEventListener("click", copyCommand);
+  showCover();
+}
+
+function endProgress() {
+  cover.progress = null;
   showCover();
 }
 

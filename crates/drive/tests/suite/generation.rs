@@ -1,6 +1,5 @@
 //! Generated images of a drive.
 
-use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
@@ -19,9 +18,8 @@ const WINDOW: usize = 3;
 /// Steps and forecast steps of all frames.
 type Seen = Arc<Mutex<Vec<(usize, Vec<usize>)>>>;
 
-/// Images whose red is the step, green the number of forecasts, and blue the session.
+/// Images whose red is the step, green the number of forecasts, and blue that of actors.
 struct Painter {
-    session: u8,
     cost: Duration,
     fails_at: Option<usize>,
     seen: Seen,
@@ -40,13 +38,14 @@ impl ImageGenerator for Painter {
         _: &mut Renderer<'_>,
     ) -> Result<Option<StepImages>, AnyError> {
         std::thread::sleep(self.cost);
-        let step = now.get().step;
+        let Instant { step, actors, .. } = now.get();
+        let step = *step;
         if self.fails_at.is_some_and(|at| step >= at) {
             return Err("the brush is lost".into());
         }
         let ahead = expected.iter().map(|next| next.get().step).collect();
         self.seen.lock().unwrap().push((step, ahead));
-        let color = Rgb([step as u8, expected.len() as u8, self.session]);
+        let color = Rgb([step as u8, expected.len() as u8, actors.len() as u8]);
         let images = vec![RgbImage::from_pixel(8, 4, color); 6];
         Ok(Some(StepImages { is_reference: frame < WINDOW - 1, images, truth: None, rows: None }))
     }
@@ -80,7 +79,7 @@ impl ImageGenerator for Painter {
 
 /// Returns a generator of 5 images per second, and the frames that it has seen.
 fn painter(cost: Duration, fails_at: Option<usize>) -> (LiveGenerator, Seen) {
-    let (seen, sessions) = (Seen::default(), AtomicUsize::new(0));
+    let seen = Seen::default();
     let shared = Arc::clone(&seen);
     let generator = LiveGenerator {
         name: "painter".to_owned(),
@@ -89,10 +88,7 @@ fn painter(cost: Duration, fails_at: Option<usize>) -> (LiveGenerator, Seen) {
         arguments: vec!["--generator".to_owned(), "painter".to_owned()],
         record: json!({"network": "painter"}),
         fact: "painted".to_owned(),
-        open: Box::new(move |_, _| {
-            let session = sessions.fetch_add(1, Ordering::Relaxed) as u8;
-            Ok(Box::new(Painter { session, cost, fails_at, seen: Arc::clone(&shared) }))
-        }),
+        open: Box::new(move |_, _| Ok(Box::new(Painter { cost, fails_at, seen: Arc::clone(&shared) }))),
     };
     (generator, seen)
 }
@@ -121,7 +117,10 @@ fn the_simulation_waits_for_each_image_in_lockstep() {
     client.send(&json!({"type": "simulate", "hz": 10.0}));
     client.send(&json!({"type": "generate", "mode": "lockstep"}));
     let (header, pixel) = shown(&mut client, 0);
-    assert_eq!((&header["generated"]["is_reference"], pixel), (&json!(true), Some([0, 3, 0])));
+    let [0, 3, actors @ 2..] = pixel.unwrap() else { panic!("{pixel:?}") };
+    assert_eq!(header["generated"]["is_reference"], true);
+    // A hidden actor is hidden from the generator too.
+    client.send(&json!({"type": "view", "hide": [header["actors"][0]["track"]]}));
     // The log drives until all references are there.
     client.send(&json!({"type": "keys", "throttle": 1.0, "number": 1}));
     assert!(client.text("notice")["text"].as_str().unwrap().contains("1 more reference image"));
@@ -130,7 +129,7 @@ fn the_simulation_waits_for_each_image_in_lockstep() {
     assert_eq!((&header["by"], &header["takeover"]), (&json!("person"), &json!(4)));
     let generated = &header["generated"];
     let counts = ["step", "references", "count", "skipped"].map(|name| generated[name].as_u64().unwrap());
-    assert_eq!((counts, pixel), ([8, 2, 3, 0], Some([8, 3, 0])));
+    assert_eq!((counts, pixel), ([8, 2, 3, 0], Some([8, 3, actors - 1])));
     let behind_s = generated["behind_s"].as_f64().unwrap();
     assert!((behind_s - 0.1).abs() < 1e-9 && generated["is_reference"] == false, "{generated}");
     let frames: Vec<_> = [0, 2, 4, 6, 8].map(|step| (step, vec![step + 2, step + 4, step + 6])).into();

@@ -110,6 +110,8 @@ impl DriveArgs {
     fn open(&self, progress: &Progress<'_>) -> anyhow::Result<Inputs> {
         progress("opening the recording", 0, 0);
         let log = self.roots.open(&self.log)?;
+        let rates = Rates::of(self.log.format, log.recording());
+        let generator = self.generator(log.recording(), self.generate_hz.unwrap_or(rates.plan_hz))?;
         let default = || self.out.join(SKELETONS).join(folder_name(&log.recording().name));
         let path = self.skeleton.clone().unwrap_or_else(default);
         let is_built = path.join("skeleton.json").exists();
@@ -119,13 +121,11 @@ impl DriveArgs {
             self.build(&log, &path, progress)?
         };
         print_progress(&format!("skeleton {}", path.display()));
-        let rates = Rates::of(self.log.format, log.recording());
-        progress("opening the generator", 0, 0);
         Ok(Inputs {
             log_name: self.log.to_string(),
             log_arguments: self.roots.locate(&self.log).arguments(),
             rates,
-            generator: self.generator(log.recording(), self.generate_hz.unwrap_or(rates.plan_hz))?,
+            generator,
             log,
             skeleton,
             skeleton_path: path,
