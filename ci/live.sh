@@ -26,7 +26,7 @@ trap stop EXIT
 . "$(dirname "$0")/browser.sh"
 
 size=${SIZE:-64x112}
-generator=(--generator fill)
+generator=(--generator fill --window 2) # the log may be short
 if [ "$size" != full ]; then
     printf '{"drawn": "%s", "size": "%s"}' "$size" "$size" >"$scratch/recipe.json"
     generator+=(--recipe "$scratch/recipe.json")

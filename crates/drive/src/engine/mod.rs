@@ -418,6 +418,10 @@ impl<'a> Engine<'a> {
                 live.step(self.generation.horizon()).map_err(|error| with_causes(&error))?;
                 let is_allowed = self.generation.allows_takeover(live.instant().step);
                 live.settle(is_allowed).map_err(|error| with_causes(&error))?;
+                if live.ended.is_some() && live.takeover.is_none() && !is_allowed {
+                    live.ended =
+                        Some("the log has ended before the generator could begin: reset, or turn it off");
+                }
                 live.ended.is_none()
             }
         };

@@ -52,8 +52,8 @@ function pixelTable({ camera, x, y, depth_m, class: name, point, rgb }) {
     ["Depth", number(depth_m, 2, "m") ?? "empty"],
     ["Class", CLASSES[name] ?? name],
     ["Point", Array.isArray(point) ? `${point.map((value) => fixed(Number(value), 2)).join("  ")} m` : null],
-    ["Color", Array.isArray(rgb) ? rgb.join(" ") : null],
     ["Source sweep", "not kept in skeletons"],
+    ["Color", Array.isArray(rgb) ? rgb.join(" ") : null],
   ]);
   if (Array.isArray(rgb)) {
     const swatch = make("i", { class: "color" });
