@@ -13,7 +13,7 @@ from ._generator import MAPS, ImageGenerator, ImageRequest, RequestActor, Settin
 from ._protocol import check_values
 
 if TYPE_CHECKING:
-    from .._pskel import Log, Renderer, Scene, Simulation
+    from .._pskel import Actor, Log, Renderer, Scene, Simulation
 
 __all__ = ["Images"]
 
@@ -93,8 +93,8 @@ class Images:
         difference = float(np.abs(scene.ego - self._log.at(scene.t_us).ego).max())
         is_planned_too_early = self._simulation.needs_plan and frame < self._settings.references - 1
         if difference > _SAME or is_planned_too_early:
-            count = self._settings.references
-            raise ValueError(f"expected warmup_frames of at least {count}, the references of the generator, found a plan before frame {count}")
+            expected = f"expected warmup_frames of at least {self._settings.references}, the references of the generator"
+            raise ValueError(f"{expected}, found a plan before frame {frame + 1}")
         return self._settings.checked(self._log.images(scene, self._settings.size))
 
     def _generated(self, frame: int) -> npt.NDArray[np.uint8]:
@@ -130,7 +130,8 @@ class Images:
         return request
 
     def _maps(self, scene: Scene) -> dict[str, npt.NDArray[Any]]:
-        maps: dict[str, npt.NDArray[Any]] = {name: value for name, value in self._renderer.render(scene).items() if name in MAPS}  # type: ignore[misc]
+        rendered: Any = self._renderer.render(scene)
+        maps: dict[str, npt.NDArray[Any]] = {name: value for name, value in rendered.items() if name in MAPS}
         if missing := [name for name in self._settings.maps if name not in maps]:
             expected = f"expected a renderer of the maps {', '.join(self._settings.maps)}, which the generator wants"
             raise ValueError(f"{expected}, found none of {', '.join(missing)}: pskel.Renderer(.., maps=[..])")
@@ -142,10 +143,12 @@ class Images:
         actors = scene.actors
         if any(actor.category not in self._class_names for actor in actors):
             self._learn_classes(scene)
-        return [
-            RequestActor(actor.track, actor.category, self._class_names[actor.category], tuple(actor.size), actor.global_from_box)  # type: ignore[arg-type]
-            for actor in actors
-        ]
+        return [self._actor(actor) for actor in actors]
+
+    def _actor(self, actor: Actor) -> RequestActor:
+        length, width, height = actor.size
+        class_name = self._class_names[actor.category]
+        return RequestActor(actor.track, actor.category, class_name, (length, width, height), actor.global_from_box)
 
     def _learn_classes(self, scene: Scene) -> None:
         """Learn the classes of categories from observations: of the simulation, and of the log at the time of a forecast."""
