@@ -58,6 +58,7 @@ class Server:
         except TimeoutError:
             raise ValueError(f"expected an answer of {asked} within {self._timeout_s:g} s, found none") from None
         except (OSError, http.client.HTTPException) as error:
-            if isinstance(getattr(error, "reason", None), TimeoutError):
+            reason = getattr(error, "reason", error)
+            if isinstance(reason, TimeoutError):
                 raise ValueError(f"expected an answer of {asked} within {self._timeout_s:g} s, found none") from None
-            raise ValueError(f"expected an answer of {asked}, found {getattr(error, 'reason', None) or error!r}") from None
+            raise ValueError(f"expected an answer of {asked}, found {reason or type(error).__name__}") from None
