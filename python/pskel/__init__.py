@@ -2,6 +2,8 @@
 
 from typing import TYPE_CHECKING, Any
 
+from .images import ImageGenerator, ImageRequest
+
 try:
     from ._pskel import (
         Actor,
@@ -50,6 +52,8 @@ __all__ = [
     "ExportReport",
     "Forecast",
     "Frames",
+    "ImageGenerator",
+    "ImageRequest",
     "Log",
     "LogError",
     "Maps",

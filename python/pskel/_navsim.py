@@ -73,7 +73,7 @@ def camera(files: list[str], name: str, kind: str) -> dict[str, Any] | None:
     if found is None:
         return None
     path = image_path(meta.parent, found["name"], kind)
-    image = _read(path)
+    image = read_image(path)
     scale = np.array([[image.shape[1] / found["width"]], [image.shape[0] / found["height"]], [1.0]])
     mount = np.array(found["ego_from_camera"], dtype=np.float64).reshape(4, 4)
     return {
@@ -94,7 +94,7 @@ def image_path(step: Path, channel: str, kind: str) -> Path:
     return step / channel / f"{'color' if kind == 'auto' else kind}.png"
 
 
-def _read(path: Path) -> Any:
+def read_image(path: Path) -> Any:
     """Return an image, ``uint8 [H, W, 3]``."""
     from PIL import Image
 

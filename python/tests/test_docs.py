@@ -16,7 +16,7 @@ PAGE = Path(__file__).parents[2] / "docs/src/guide/python.md"
 
 def page() -> list[str]:
     blocks = re.findall(r"```python\n(.*?)```", PAGE.read_text(), re.DOTALL)
-    assert len(blocks) == 6
+    assert len(blocks) == 7
     return blocks
 
 
@@ -39,6 +39,7 @@ def test_the_examples_run_in_order(tmp_path: Path, run: Run) -> None:
     done = run(str(program), check=False)
     assert done.returncode == 0, done.stderr
     assert "(6, 56, 100, 3) float32" in done.stdout and "10.0\n" in done.stdout, done.stdout
+    assert done.stdout.endswith("(6, 56, 100, 3)\n"), done.stdout
 
 
 @pytest.mark.parametrize("kind", [pskel.Renderer, pskel.ResetAndRoll, pskel.Simulation, pskel.Scene])

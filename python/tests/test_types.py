@@ -17,7 +17,8 @@ TORCH = ["examples/train.py", "examples/reset_and_roll.py"]
 MODELS = ["pskel/models"]
 METRICS = ["pskel/metrics"]
 ALPASIM = ["pskel/alpasim", "pskel/egodriver", "pskel/serve"]
-PLANNERS = ["pskel/nuplan_planner.py", "pskel/navsim_agent.py", "pskel/navsim_scenes.py"]
+PLANNERS = ["pskel/nuplan_planner.py", "pskel/navsim_agent.py", "pskel/navsim_scenes.py", "pskel/drivearena"]
+IMAGES = ["pskel/images", "pskel/_messages.py"]
 RERUN = ["pskel/rerun.py"]
 TRAIN = ["pskel/train", "tests/train"]
 PARTS = [
@@ -27,6 +28,7 @@ PARTS = [
     ("torchmetrics", METRICS),
     ("grpc", ALPASIM),
     ("numpy", PLANNERS),
+    ("numpy", IMAGES),
     ("rerun", RERUN),
     ("accelerate", TRAIN),
 ]

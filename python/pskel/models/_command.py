@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import argparse
-import os
 import sys
 from collections.abc import Callable
 from io import BufferedIOBase
 
 import torch
 
+from .._messages import standard_streams
 from ._files import first_line
 
 __all__ = ["DTYPES", "add_options", "device_of", "run", "run_on_standard_streams", "silence", "whole_number"]
@@ -35,9 +35,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 def run_on_standard_streams(program: str, options: argparse.Namespace, serve: Serve) -> int:
     """Serve on standard input and output; returns the exit status."""
-    # From here on, all other output, from Python or not, goes to standard error.
-    with open(0, "rb", closefd=False) as source, open(os.dup(1), "wb") as out:
-        os.dup2(2, 1)
+    with standard_streams() as (source, out):
         return run(program, options, source, out, serve)
 
 

@@ -14,12 +14,12 @@ from typing import Any
 import numpy as np
 import pytest
 from pas_base import Array, pack, unpack
+from pskel import _messages as messages
 
 torch = pytest.importorskip("torch")
 diffusers = pytest.importorskip("diffusers")
 pytest.importorskip("transformers")
 from pas_frames import CAMERAS, HELLO, H, V, arguments, needs_fixture, request, window  # noqa: E402
-from pskel.models import _messages as messages  # noqa: E402
 from pskel.models.pas import Denoiser  # noqa: E402
 from pskel.models.pas import __main__ as command  # noqa: E402
 
@@ -118,7 +118,7 @@ def test_other_streams_are_refused(capsys: pytest.CaptureFixture[str], base: Pat
     other = bytearray(pack({}, {"a": np.zeros(1, np.float32)}))
     other[other.index(b"F32") : other.index(b"F32") + 3] = b"I32"
     found = failure(capsys, arguments(base), bytes(other))
-    assert found == "expected a message of safetensors with tensors of F32, found a of int32"
+    assert found == f"expected a message of safetensors with tensors of F32, found {len(other) - 8} bytes: a of I32"
     found = failure(capsys, arguments(base), b"GET / HTTP/1.1\r\n")
     assert re.fullmatch(r"expected a message of at most 34359738368 bytes, found \d+", found)
     damaged = b"\x10" + bytes(7) + b"\x08" + bytes(7) + b"not JSON"
