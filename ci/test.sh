@@ -97,6 +97,8 @@ run_page() {
 }
 
 step ci/setup.sh --tests
+# Downloads take minutes, in which the compiler has the processors. A failure shows when the tests install again.
+ci/python_env.sh >/dev/null 2>&1 &
 step cargo fmt --all --check
 step python3 ci/cycles.py
 step python3 ci/readme.py

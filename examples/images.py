@@ -9,16 +9,17 @@ import pskel
 from pskel import images
 
 
-class Fill(pskel.ImageGenerator):
-    maps = ("color", "depth")
+class Fill(pskel.ImageGenerator):  # the images of --generator fill with the same --recipe
+    references = 3
 
     def __init__(self, hello):
         self.image_size = hello.condition_size
 
-    def generate(self, request):  # frame 0 is the planning step, frames 1 .. are forecasts
-        filled = pskel.fill_holes(request.maps["color"][0], request.maps["depth"][0])
-        print(f"frame {request.frame}: filled {np.isinf(request.maps['depth'][0]).mean():.0%} of the pixels")  # to standard error
-        return filled
+    def generate(self, request):
+        color = request.maps["color"][0]  # of the planning step; further ones would be forecasts
+        known = color.any(axis=-1)
+        print(f"frame {request.frame}: {1 - known.mean():.0%} of the pixels are holes")  # to standard error
+        return pskel.fill_holes(color, np.where(known, 1, np.inf).astype(np.float32))
 
 
 if __name__ == "__main__":

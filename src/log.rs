@@ -2,17 +2,24 @@ use std::path::Path;
 use std::sync::{Arc, OnceLock};
 
 use crate::Error;
-use crate::dataset::{self, DatasetError, EgoTrack, LogLocator, LogReader, MissingData, Recording};
+use crate::dataset::{
+    self, ActorEdits, DatasetError, EditError, EditedLog, EgoTrack, LogLocator, LogReader, MissingData,
+    Recording,
+};
 use crate::scene::{EgoOffset, SceneMap, SceneState, state_at, state_of_frame};
 use crate::skeleton::{self, BuildInput, BuildOptions, BuildRun, Skeleton};
 
 /// A recorded drive: sensors, calibration, ego poses, tracked boxes and HD map.
 pub struct Log {
-    reader: Box<dyn LogReader>,
+    /// As opened, without edits.
+    source: Arc<dyn LogReader>,
+    reader: Arc<dyn LogReader>,
     ego: EgoTrack,
-    /// HD map, or the error of reading it.
-    map: OnceLock<Result<Option<Arc<SceneMap>>, DatasetError>>,
+    map: Arc<OnceLock<ReadMap>>,
 }
+
+/// HD map, or the error of reading it.
+type ReadMap = Result<Option<Arc<SceneMap>>, DatasetError>;
 
 impl Log {
     /// Opens a log by name: `FORMAT:PATH[@VERSION][#SCENE]`, such as
@@ -29,7 +36,21 @@ impl Log {
     /// Creates a log from a reader of any format.
     pub fn new(reader: Box<dyn LogReader>) -> Self {
         let ego = EgoTrack::new(reader.recording());
-        Self { reader, ego, map: OnceLock::new() }
+        let source: Arc<dyn LogReader> = Arc::from(reader);
+        Self { reader: Arc::clone(&source), source, ego, map: Arc::default() }
+    }
+
+    /// Returns the log with other edits of its actors than it has: `edits` begin with the log as it was opened.
+    ///
+    /// # Errors
+    /// Fails if the log does not have a track at its time.
+    pub fn edited(&self, edits: &ActorEdits) -> Result<Self, EditError> {
+        let source = Arc::clone(&self.source);
+        let reader = match edits.is_empty() {
+            true => Arc::clone(&source),
+            false => Arc::new(EditedLog::new(Arc::clone(&source), edits)?),
+        };
+        Ok(Self { source, reader, ego: self.ego.clone(), map: Arc::clone(&self.map) })
     }
 
     /// Returns the name, which identifies the log in skeletons.
@@ -40,6 +61,11 @@ impl Log {
     /// Returns poses, calibration, boxes and file paths.
     pub fn recording(&self) -> &Recording {
         self.reader.recording()
+    }
+
+    /// Returns the same without edits, from which skeletons are built.
+    pub fn unedited(&self) -> &Recording {
+        self.source.recording()
     }
 
     /// Returns the frames (the states at key frames), in time order.
@@ -103,11 +129,11 @@ impl Log {
     }
 
     /// Returns the reader.
-    pub fn into_reader(self) -> Box<dyn LogReader> {
+    pub fn into_reader(self) -> Arc<dyn LogReader> {
         self.reader
     }
 
-    fn read_map(&self) -> &Result<Option<Arc<SceneMap>>, DatasetError> {
+    fn read_map(&self) -> &ReadMap {
         self.map.get_or_init(|| SceneMap::read(self.reader()))
     }
 

@@ -129,7 +129,7 @@ impl Actor {
         let cuboid =
             Cuboid::new(pose("global_from_box", &global_from_box)?, DVec3::from(size)).map_err(invalid)?;
         let class = Class::from_category(&category);
-        Ok(Self { inner: ActorState { track, category, class, cuboid } })
+        Ok(Self { inner: ActorState { track, category, class, cuboid, appearance: None } })
     }
 
     /// Track id.

@@ -20,7 +20,6 @@ HELLO = {
     "log": "scene-0061",
     "seed": "3",
     "fps": "5",
-    "frame": "2",
     "condition_size": f"{H},{W}",
     "cameras": json.dumps(CAMERAS),
     "image_sizes": "[[1600, 900], [800, 450]]",

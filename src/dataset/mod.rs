@@ -25,6 +25,8 @@
 pub mod av2;
 mod category;
 mod clock;
+mod edited_log;
+mod edits;
 mod lenient;
 mod limits;
 mod map;
@@ -48,6 +50,8 @@ mod wkb;
 
 pub(crate) use category::CategoryKind;
 pub use category::{Class, layout_rgb};
+pub(crate) use edited_log::EditedLog;
+pub use edits::{ActorEdits, Appearance, EditError, HeldTrack, ReplacedTrack};
 pub use map::{Area, Lane, VectorMap};
 pub use moved_ego::MovedEgo;
 pub use picture::{picture_size, read_picture, undecodable};

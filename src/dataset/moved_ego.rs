@@ -1,3 +1,5 @@
+use std::sync::Arc;
+
 use super::{DatasetError, ImageRecord, LogReader, Recording, Sweep, SweepRecord, VectorMap, ViewRenderer};
 use crate::scene::EgoOffset;
 
@@ -5,13 +7,13 @@ use crate::scene::EgoOffset;
 /// they are, and images are rendered where the cameras are then.
 pub struct MovedEgo {
     log: Recording,
-    reader: Box<dyn LogReader>,
+    reader: Arc<dyn LogReader>,
 }
 
 impl MovedEgo {
     /// Displaces the ego of a log; `None` if the log is recorded, since its images exist at the recorded
     /// poses alone.
-    pub fn new(reader: Box<dyn LogReader>, offset: EgoOffset) -> Option<Self> {
+    pub fn new(reader: Arc<dyn LogReader>, offset: EgoOffset) -> Option<Self> {
         reader.view_renderer()?;
         let mut log = reader.recording().clone();
         let (ego_from_moved, moved_from_ego) = (offset.pose(), offset.pose().inverse());

@@ -223,6 +223,7 @@ fn actors(log: &Recording, boxes: &[TrackBox]) -> Vec<ActorState> {
             category: track.category.clone(),
             class: track.class,
             cuboid: item.cuboid,
+            appearance: log.edits.replace.get(&track.id).cloned(),
         }
     };
     boxes.iter().map(actor).collect()

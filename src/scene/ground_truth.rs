@@ -47,7 +47,8 @@ impl<'a> GroundTruthImages<'a> {
     /// Returns whether ground truth is available: always in a synthetic log, in a recorded log only if the
     /// ego and the actors follow the log.
     pub fn are_known(&self, ego_follows_log: bool, actors_follow_log: bool) -> bool {
-        self.reader.view_renderer().is_some() || ego_follows_log && actors_follow_log
+        let follows_log = ego_follows_log && actors_follow_log && self.reader.recording().edits.is_empty();
+        self.reader.view_renderer().is_some() || follows_log
     }
 
     /// Returns the ground-truth images of all cameras in a state, resized to `size`. In a synthetic log, the

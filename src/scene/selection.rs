@@ -143,7 +143,8 @@ impl<'a> SceneClouds<'a> {
         let kind = TemplateKind::of_actor(&actor.category, size_m);
         let template = kind.and_then(|kind| self.templates.get(&kind));
         // An asset that was observed in no frame of the skeleton can exist without points.
-        let asset = self.assets.get(actor.track.as_str()).filter(|cloud| !self.clouds[**cloud].is_empty());
+        let asset = actor.asset().and_then(|track| self.assets.get(track));
+        let asset = asset.filter(|cloud| !self.clouds[**cloud].is_empty());
         let pose = actor.cuboid.pose.affine();
         let of_asset = asset.map(|cloud| Instance { cloud: *cloud, world_from_local: pose, number });
         let of_template = template.map(|(cloud, template_size_m)| {
@@ -153,7 +154,7 @@ impl<'a> SceneClouds<'a> {
         let few = asset.is_none_or(|cloud| self.clouds[*cloud].len() <= options.min_actor_points);
         let gives_way = few && kind.is_some_and(TemplateKind::replaces_small_assets);
         let geometry = if gives_way { of_template.or(of_asset) } else { of_asset.or(of_template) };
-        let color = self.color_assets.get(actor.track.as_str());
+        let color = actor.asset().and_then(|track| self.color_assets.get(track));
         let color = color.map(|cloud| Instance { cloud: *cloud, world_from_local: pose, number });
         (color.or(of_asset), geometry)
     }
@@ -224,7 +225,13 @@ mod tests {
     fn actor(track: &str, category: &str) -> ActorState {
         let cuboid = Cuboid::new(Pose::from_yaw(0.0, DVec3::new(5.0, 0.0, 0.0)), DVec3::new(4.0, 2.0, 1.5));
         let (track, category) = (track.to_owned(), category.to_owned());
-        ActorState { track, class: Class::from_category(&category), category, cuboid: cuboid.unwrap() }
+        ActorState {
+            track,
+            class: Class::from_category(&category),
+            category,
+            cuboid: cuboid.unwrap(),
+            appearance: None,
+        }
     }
 
     /// Ids of the color and geometry clouds of one actor: 0 is background, 1 to 3 assets, 4 and 5 templates.

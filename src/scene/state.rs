@@ -1,7 +1,7 @@
 use std::sync::Arc;
 
 use super::SceneMap;
-use crate::dataset::Class;
+use crate::dataset::{Appearance, Class};
 use crate::geometry::{Cuboid, Pose, View};
 
 /// State of a recorded or simulated scene at one instant.
@@ -44,4 +44,13 @@ pub struct ActorState {
     pub class: Class,
     /// Bounding box in the global frame.
     pub cuboid: Cuboid,
+    /// What the actor looks like; `None` for its own points.
+    pub appearance: Option<Appearance>,
+}
+
+impl ActorState {
+    /// Returns the track whose points in the skeleton show the actor; `None` for those of a template.
+    pub fn asset(&self) -> Option<&str> {
+        Appearance::asset(self.appearance.as_ref(), &self.track)
+    }
 }

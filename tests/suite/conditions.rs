@@ -120,6 +120,7 @@ fn street() -> Street {
         category: "vehicle.car".into(),
         class: Class::MotorVehicle,
         cuboid: Cuboid::new(Pose { translation: center, ..ego }, DVec3::new(4.0, 3.0, 3.0)).unwrap(),
+        appearance: None,
     };
     let state = SceneState {
         name: "000000".into(),

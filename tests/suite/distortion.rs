@@ -91,6 +91,7 @@ fn wall(views: Vec<View>) -> Wall {
         category: "vehicle.car".into(),
         class: Class::MotorVehicle,
         cuboid: Cuboid::new(place, DVec3::new(2.0, 1.0, 1.0)).unwrap(),
+        appearance: None,
     };
     let state = SceneState {
         name: "000000".into(),

@@ -94,7 +94,8 @@ fn street() -> ConditionSet {
         let number = actors.len() as u32 + 1;
         instances.push(Instance { cloud: clouds.len() - 1, world_from_local: pose.affine(), number });
         let cuboid = Cuboid::new(pose, size.as_dvec3()).unwrap();
-        actors.push(ActorState { track: format!("{number}"), category: category.into(), class, cuboid });
+        let (track, category) = (format!("{number}"), category.into());
+        actors.push(ActorState { track, category, class, cuboid, appearance: None });
     }
     let rig = [("FRONT", 0.0), ("FRONT_RIGHT", -55.0), ("BACK_RIGHT", -110.0)].into_iter();
     let rig = rig.chain([("BACK", 180.0), ("BACK_LEFT", 110.0), ("FRONT_LEFT", 55.0)]);

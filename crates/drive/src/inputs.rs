@@ -32,6 +32,8 @@ pub struct LiveGenerator {
     pub hz: f64,
     /// Number of frames in its window; all but one are references at the beginning.
     pub window: usize,
+    /// Number of forecasts that it takes at most.
+    pub forecasts: usize,
     /// Arguments of the command line that choose it.
     pub arguments: Vec<String>,
     /// Network and options for `rollout.json`.

@@ -62,7 +62,7 @@ pub fn serve(
                 hub.tell(None, ServerMessage::Progress { what, done, of }.json());
             };
             let result =
-                open(&progress).and_then(|inputs| engine::run(&inputs, options, hub, &commands, stop));
+                open(&progress).and_then(|inputs| engine::run(inputs, options, hub, &commands, stop));
             stop.store(true, Ordering::Relaxed); // without the engine there is nothing to serve
             result
         });

@@ -6,6 +6,7 @@ use std::str::FromStr;
 use point_skeleton::MapOptions;
 use point_skeleton::conditions::birdseye::BirdseyeOptions;
 use point_skeleton::conditions::{ColorFilter, ConditionOptions, ImageSize, MapKind, MapSet, Occlusion};
+use point_skeleton::dataset::{ActorEdits, Appearance};
 use point_skeleton::raster::SplatSchedule;
 use point_skeleton::scene::{SelectionOptions, SubstituteOptions, TemplateFit};
 use point_skeleton::skeleton::AugmentOptions;
@@ -24,8 +25,8 @@ pub(crate) const SIZE: ImageSize = ImageSize { height: 256, width: 448 };
 const MAX_PIXELS: u64 = 1 << 22;
 /// Maximum number of maps that a page shows of a camera.
 const MAX_MAPS: usize = 8;
-/// Maximum number of hidden actors.
-const MAX_HIDDEN: usize = 1000;
+/// Maximum number of actors that are hidden, held or replaced.
+const MAX_EDITED: usize = 1000;
 
 /// Image format of the maps that are sent.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -78,6 +79,9 @@ pub(crate) struct View {
     pub(crate) augment: Option<String>,
     /// Track ids of actors that are not drawn.
     pub(crate) hide: BTreeSet<String>,
+    /// Edits of the log's actors.
+    #[serde(flatten)]
+    pub(crate) edits: ActorEdits,
     /// Bird's-eye view; `None` for none.
     pub(crate) birdseye: Option<Birdseye>,
     #[serde(skip)]
@@ -124,6 +128,8 @@ pub(crate) struct ViewChange {
     #[serde(deserialize_with = "given")]
     augment: Option<Option<String>>,
     hide: Option<BTreeSet<String>>,
+    hold: Option<BTreeMap<String, i64>>,
+    replace: Option<BTreeMap<String, String>>,
     #[serde(deserialize_with = "given")]
     birdseye: Option<Option<Birdseye>>,
 }
@@ -188,6 +194,7 @@ impl Default for View {
             default_templates: true,
             augment: None,
             hide: BTreeSet::new(),
+            edits: ActorEdits::default(),
             birdseye: Some(Birdseye { reach_m: 50.0, side_px: 480 }),
             schedule: options.splat,
             augmentation: None,
@@ -243,10 +250,17 @@ impl View {
             view.augment = text;
         }
         if let Some(tracks) = change.hide {
-            if tracks.len() > MAX_HIDDEN {
-                return Err(format!("expected at most {MAX_HIDDEN} hidden actors, found {}", tracks.len()));
-            }
+            check_count(tracks.len())?;
             view.hide = tracks;
+        }
+        if let Some(tracks) = change.hold {
+            check_count(tracks.len())?;
+            view.edits.hold = tracks;
+        }
+        if let Some(tracks) = change.replace {
+            check_count(tracks.len())?;
+            view.edits.replace =
+                tracks.into_iter().map(|(track, by)| (track, Appearance::from(by.as_str()))).collect();
         }
         if let Some(birdseye) = change.birdseye {
             let fits = |b: &Birdseye| (5.0..=500.0).contains(&b.reach_m) && (64..=2048).contains(&b.side_px);
@@ -351,6 +365,11 @@ impl View {
         add("occlusion", self.occlusion.to_string(), self.occlusion == usual.occlusion);
         let hidden: Vec<&str> = self.hide.iter().map(String::as_str).collect();
         add("hide", hidden.join(","), hidden.is_empty());
+        let ActorEdits { hold, replace } = &self.edits;
+        let held: Vec<String> = hold.iter().map(|(track, t_us)| format!("{track}@{t_us}")).collect();
+        add("hold", held.join(","), held.is_empty());
+        let replaced: Vec<String> = replace.iter().map(|(track, by)| format!("{track}={by}")).collect();
+        add("replace", replaced.join(","), replaced.is_empty());
         if !self.default_templates {
             arguments.push("--no-default-templates".to_owned());
         }
@@ -358,6 +377,14 @@ impl View {
             arguments.push(format!("--augment={augment}"));
         }
         arguments
+    }
+}
+
+/// Limits the number of edited actors.
+fn check_count(tracks: usize) -> Result<(), String> {
+    match tracks {
+        0..=MAX_EDITED => Ok(()),
+        _ => Err(format!("expected at most {MAX_EDITED} actors, found {tracks}")),
     }
 }
 
@@ -413,6 +440,21 @@ mod tests {
         assert_eq!(other.splat, "10:3,50:0");
         let arguments = other.arguments(other.kinds(&["A"])).join(" ");
         assert_eq!(arguments, "--maps class --size 256x448 --splat 10:3,50:0 --hide 7");
+    }
+
+    #[test]
+    fn edits_of_actors_are_arguments() {
+        let json = r#"{"hold": {"a": 5, "b": 7}, "replace": {"a": "b", "c": "template"}, "maps": ["color"]}"#;
+        let view = changed(json).unwrap();
+        let arguments = view.arguments(MapSet::of(&[MapKind::Color])).join(" ");
+        assert_eq!(arguments, "--maps color --size 256x448 --hold a@5,b@7 --replace a=b,c=template");
+        let shown = serde_json::to_value(&view).unwrap();
+        assert_eq!((&shown["hold"]["b"], &shown["replace"]["c"]), (&7.into(), &"template".into()));
+        let undone = view.changed(change(r#"{"hold": {}, "replace": {}}"#), &["A"], Offered::default());
+        assert!(undone.unwrap().edits.is_empty());
+        let many: Vec<String> = (0..=MAX_EDITED).map(|i| format!("\"{i}\": 0")).collect();
+        let message = changed(&format!(r#"{{"hold": {{{}}}}}"#, many.join(","))).unwrap_err();
+        assert_eq!(message, "expected at most 1000 actors, found 1001");
     }
 
     #[test]

@@ -8,12 +8,14 @@
 //! `sampler` define the noise levels and the denoising update. `window` computes the position of every frame
 //! of the window in its schedule, and `guidance` combines two predictions. Networks are exchangeable: the
 //! crate `pskel-network` has a small one, [`toy`] is a linear network for tests, and [`ProcessDenoiser`]
-//! calls a network in another process. An [`ImportSession`] takes the images of another program instead.
+//! calls a network in another process. An [`ImageSession`] asks another process for the images
+//! themselves, an [`ImportSession`] takes those of a folder.
 
 mod conditions;
 mod denoiser;
 mod error;
 mod generator;
+mod images;
 mod imported;
 mod options;
 mod process;
@@ -36,9 +38,12 @@ pub use denoiser::{Codec, Denoiser, Frame, GuidedPrediction};
 pub use error::GenerateError;
 pub use generator::Generator;
 pub use generator::cache::{Cache, CacheError};
+pub use generator::scene::GenerationScene;
 pub use generator::session::{AnyDenoiser, Session, SessionError, SessionParts};
 pub use generator::strategy::Strategy;
 pub use generator::window::{Progress, Roll};
+pub use images::session::ImageSession;
+pub use images::{ImageProcess, ImageProcessError, ImageRig};
 pub use imported::counts::{Counted, ImportCounts};
 pub use imported::export::RolloutImages;
 pub use imported::folder::{ImageFolder, ImageLayout, ImportOptions};

@@ -1,18 +1,14 @@
 use std::fmt;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
-use std::sync::Arc;
 
-use point_skeleton::conditions::FrameCaptions;
 use point_skeleton::conditions::tensor::{LAYOUT_CHANNELS, POINT_CHANNELS};
-use point_skeleton::dataset::Recording;
 use point_skeleton::geometry::ImageSize;
 use point_skeleton::memory::{MemoryError, Need, reserve};
-use point_skeleton::scene::{GroundTruthImages, SceneMap};
 use pskel_generate::{
     AnyDenoiser, Codec, Conditioner, DenoiserError, DenoiserRig, DroppedConditions, GenerateError,
-    GenerateOptions, Guidance, ProcessDenoiser, Recipe, SamplerOptions, Session, SessionError, SessionParts,
-    Strategy,
+    GenerateOptions, GenerationScene, Guidance, ProcessDenoiser, Recipe, SamplerOptions, Session,
+    SessionError, SessionParts, Strategy,
 };
 use pskel_sim::peer::{PeerAddress, PeerError, PeerSpec};
 use serde::Serialize;
@@ -115,24 +111,6 @@ pub struct GeneratorReport {
     #[serde(skip_serializing_if = "is_default")]
     without: DroppedConditions,
     noise_seed: u64,
-}
-
-/// Scene whose images are generated.
-pub struct GenerationScene<'a> {
-    /// Recorded or synthetic log.
-    pub log: &'a Recording,
-    /// HD map of the log.
-    pub map: Option<Arc<SceneMap>>,
-    /// Prompt of the log; empty without one.
-    pub prompt: String,
-    /// Captions by time, in place of the prompt.
-    pub captions: Option<FrameCaptions>,
-    /// Source of the reference images.
-    pub truth: GroundTruthImages<'a>,
-    /// Whether the ego follows the log in the whole rollout.
-    pub ego_follows_log: bool,
-    /// Whether the other actors follow the log in the whole rollout.
-    pub actors_follow_log: bool,
 }
 
 /// Error of opening a network.

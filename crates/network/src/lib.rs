@@ -28,8 +28,7 @@ pub use error::NetworkError;
 pub use fill::fill_holes;
 pub use fill::filled::FilledColor;
 pub use generator::{
-    DEFAULT_WINDOW, GenerationScene, GeneratorReport, GeneratorSettings, NetworkName, OpenNetworkError,
-    OpenedNetwork,
+    DEFAULT_WINDOW, GeneratorReport, GeneratorSettings, NetworkName, OpenNetworkError, OpenedNetwork,
 };
 pub use kernels::Attend;
 pub use network::Network;

@@ -84,7 +84,7 @@ class ImageGenerator(ABC):
     history: int | None = None
     """Number of earlier images in a request, 0 to 100; by default ``references``."""
     forecasts: int = 0
-    """Number of forecasts in a request, 0 to 100."""
+    """Number of forecasts in a request, at most, 0 to 100: there are fewer where the plan of the ego or the log ends."""
 
     @abstractmethod
     def generate(self, request: ImageRequest) -> npt.NDArray[np.uint8]:

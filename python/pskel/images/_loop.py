@@ -98,10 +98,7 @@ class Images:
         return self._settings.checked(self._log.images(scene, self._settings.size))
 
     def _generated(self, frame: int) -> npt.NDArray[np.uint8]:
-        count = self._settings.forecasts
-        forecasts = [forecast.value for forecast in self._simulation.forecast(count)]
-        if len(forecasts) < count:
-            raise ValueError(f"expected {count} forecasts at frame {frame}, found {len(forecasts)} before the end of the log")
+        forecasts = [forecast.value for forecast in self._simulation.forecast(self._settings.forecasts)]
         return self._settings.checked(self._generator.generate(self._request(frame, [self._simulation.scene, *forecasts])))
 
     def _request(self, frame: int, scenes: list[Scene]) -> ImageRequest:

@@ -38,8 +38,6 @@ class Hello(NamedTuple):
     """``--noise-seed``."""
     fps: float
     """Planning steps per second."""
-    frame: int
-    """Number of the first planning step that will be asked for; greater than ``references`` if a rollout is resumed."""
     condition_size: tuple[int, int]
     """Height and width of the maps, pixels."""
     cameras: tuple[str, ...]
@@ -65,7 +63,6 @@ class Hello(NamedTuple):
             log=texts_of.text(texts, "log"),
             seed=texts_of.whole(texts, "seed"),
             fps=texts_of.number(texts, "fps"),
-            frame=texts_of.whole(texts, "frame"),
             condition_size=texts_of.pair(texts, "condition_size"),
             cameras=cameras,
             image_sizes=tuple((width, height) for width, height in sizes),
@@ -89,13 +86,17 @@ def answer_of(settings: Settings) -> dict[str, str]:
 def request_of(message: Message, hello: Hello, settings: Settings) -> ImageRequest:
     """Convert a request; raises ``ValueError``, which names a missing or wrong text or tensor."""
     texts, tensors = message
-    where, views, frames = "the request", len(hello.cameras), 1 + settings.forecasts
+    where, views = "the request", len(hello.cameras)
     if (ask := texts.get("ask")) != "generate":
         raise ValueError(f"expected ask of generate in {where}, found {ask}")
     frame = texts_of.whole(texts, "frame", where)
     if frame < settings.references:
         raise ValueError(f"expected a frame of at least {settings.references}, the number of references, in {where}, found {frame}")
-    t_us, prompts, actors = (_each_frame(texts, name, frames) for name in ("t_us", "prompts", "actors"))
+    t_us = texts_of.listed(texts, "t_us", where)
+    frames = len(t_us)
+    if not 1 <= frames <= 1 + settings.forecasts:
+        raise ValueError(f"expected t_us of 1 to {1 + settings.forecasts} frames in {where}, found {frames}")
+    prompts, actors = (_each_frame(texts, name, frames) for name in ("prompts", "actors"))
     if not all(type(time) is int for time in t_us):
         raise ValueError(f"expected t_us as a list of whole numbers in {where}, found {texts['t_us'][:200]}")
     if not all(_is_prompt(prompt, views) for prompt in prompts):

@@ -307,6 +307,7 @@ mod tests {
             category: "vehicle.car".into(),
             class: Class::MotorVehicle,
             cuboid: Cuboid::new(place, DVec3::new(4.0, 2.0, 1.6)).unwrap(),
+            appearance: None,
         };
         SceneState {
             name: "000000".into(),

@@ -53,6 +53,7 @@ mod tests {
             category: category.into(),
             class: Class::from_category(category),
             cuboid,
+            appearance: None,
         }
     }
 

@@ -314,6 +314,7 @@ mod tests {
             category: "vehicle.car".into(),
             class: Class::MotorVehicle,
             cuboid,
+            appearance: None,
         };
         SceneState {
             name: "000003".into(),

@@ -6,7 +6,7 @@ use std::path::{Component, Path, PathBuf};
 use glam::DVec2;
 use twox_hash::XxHash3_64;
 
-use crate::dataset::{Area, Frame, ImageRecord, Lane, Recording, SweepRecord, VectorMap};
+use crate::dataset::{ActorEdits, Area, Frame, ImageRecord, Lane, Recording, SweepRecord, VectorMap};
 use crate::geometry::{Camera, LensModel, Pose};
 
 /// Prefix of this version's fingerprints; other versions' cannot be compared with them.
@@ -15,8 +15,8 @@ const MARK: &str = "2-";
 impl Recording {
     /// Returns a fingerprint of everything that determines maps, except for the content of files: names,
     /// times, poses, cameras with intrinsics and distortion, sweeps and images with their paths below the
-    /// folder that all of them share, tracks with their categories, boxes, traffic lights and routes. The
-    /// text is `2-` and 16 hexadecimal digits.
+    /// folder that all of them share, tracks with their categories, boxes, traffic lights, routes and
+    /// edits. The text is `2-` and 16 hexadecimal digits.
     pub fn fingerprint(&self) -> String {
         let mut hash = Fingerprint::new();
         hash.all(&[&self.name, &self.location, &self.description], |hash, text| hash.text(text));
@@ -43,6 +43,9 @@ impl Recording {
             hash.all(&route.roadblocks, |hash, id| hash.text(id));
             hash.all(route.goal.as_slice(), Fingerprint::pose);
         });
+        if !self.edits.is_empty() {
+            hash.edits(&self.edits);
+        }
         hash.finish()
     }
 }
@@ -109,6 +112,17 @@ impl Fingerprint {
 
     fn text(&mut self, text: &str) {
         self.bytes(text.as_bytes());
+    }
+
+    fn edits(&mut self, edits: &ActorEdits) {
+        for (track, t_us) in &edits.hold {
+            self.text(track);
+            self.number(*t_us as u64);
+        }
+        for (track, appearance) in &edits.replace {
+            self.text(track);
+            self.text(&appearance.to_string());
+        }
     }
 
     /// Adds a list; its length keeps it apart from the next one.

@@ -10,7 +10,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use super::{Class, DatasetError, Gap, MissingData, ReadOptions};
+use super::{ActorEdits, Class, DatasetError, Gap, MissingData, ReadOptions};
 use crate::files::FileName;
 use crate::files::text::printable;
 use crate::geometry::{Camera, Cuboid, Pose};
@@ -50,6 +50,8 @@ pub struct Recording {
     pub rates_hz: Option<[f64; 2]>,
     /// Options with which the log was read.
     pub reading: ReadOptions,
+    /// Edits of the actors, which tracks and boxes have.
+    pub edits: ActorEdits,
 }
 
 /// Name and length of a log.

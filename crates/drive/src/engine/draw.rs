@@ -8,7 +8,6 @@ use point_skeleton::conditions::{ConditionSet, MapKind};
 use point_skeleton::error::with_causes;
 use point_skeleton::raster::MapSet;
 use point_skeleton::scene::{EgoOffset, SceneState};
-use pskel_sim::ActorPolicy;
 
 use super::{Desk, Engine, Stage, command, live, look};
 use crate::encode::{Drawn, image_png, map_png};
@@ -46,10 +45,11 @@ impl Engine<'_> {
         let draw_s = start.elapsed().as_secs_f64();
         self.frame += 1;
         let (ego_follows_log, actors_follow_log) = match &self.stage {
-            Stage::Look(look) => (look.offset == EgoOffset::default(), true),
+            Stage::Look(look) => (look.offset == EgoOffset::default(), self.view.edits.is_empty()),
             Stage::Live(live) => {
                 let is_warm_up = live.takeover.is_none();
-                (is_warm_up, is_warm_up || live.beginning.actors == ActorPolicy::Replay)
+                let is_recorded = is_warm_up && self.view.edits.is_empty();
+                (is_warm_up, is_recorded || self.actors_follow_log(live))
             }
         };
         let actors_follow_log = actors_follow_log && self.view.hide.is_empty();

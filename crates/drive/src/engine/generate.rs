@@ -82,6 +82,16 @@ impl<'a> Generation<'a> {
         };
     }
 
+    /// Returns the number of the last session.
+    pub(super) fn session(&self) -> u64 {
+        self.session
+    }
+
+    /// Begins after the last session of another engine, whose answers may still come.
+    pub(super) fn continue_after(&mut self, session: u64, mode: Mode) {
+        (self.session, self.mode) = (session, mode);
+    }
+
     /// Returns the number of steps from one frame to the next.
     pub(super) fn every(&self) -> usize {
         self.every
@@ -89,7 +99,7 @@ impl<'a> Generation<'a> {
 
     /// Returns the number of steps that plans reach ahead.
     pub(super) fn horizon(&self) -> usize {
-        self.running().map_or(1, |generator| generator.window * self.every)
+        self.running().map_or(1, |generator| generator.window.max(generator.forecasts) * self.every)
     }
 
     /// Returns whether the log may give the wheel away at a step: a rollout of the same drive begins with all
@@ -128,7 +138,7 @@ impl<'a> Generation<'a> {
             self.skipped += 1;
             return;
         }
-        let expected = simulation.forecast_every(self.every, generator.window).into_iter();
+        let expected = simulation.forecast_every(self.every, generator.forecasts).into_iter();
         let job = Job {
             session: self.session,
             frame: self.asked,

@@ -2,6 +2,7 @@
 
 mod command;
 mod draw;
+mod edit;
 mod generate;
 mod hello;
 mod live;
@@ -18,9 +19,10 @@ use std::time::{Duration, Instant};
 use point_skeleton::dataset::EgoTrack;
 use point_skeleton::error::with_causes;
 use point_skeleton::scene::{SceneMap, SceneState};
-use point_skeleton::{RenderOptions, Renderer};
-use pskel_sim::{ActorPolicy, Scenario, scene_state};
+use point_skeleton::{Log, RenderOptions, Renderer};
+use pskel_sim::{Scenario, scene_state};
 
+use self::edit::Kept;
 use self::generate::{Generation, Job};
 use self::live::{Beginning, By, Live};
 use self::look::{At, Look};
@@ -68,12 +70,16 @@ pub(crate) struct Engine<'a> {
     step_s: f64,
     /// Number of saved drives.
     saved: usize,
+    /// The log with other edits, if it has just changed.
+    edited: Option<Log>,
 }
 
 /// Why the engine stops serving a renderer.
 enum Pause {
     /// Templates or assets have changed.
     Substitutes,
+    /// Actors of the log have changed.
+    Edited(Log),
     Stopped,
 }
 
@@ -82,14 +88,34 @@ enum Pause {
 /// # Errors
 /// Fails if no device supports the rasterizer, or if it fails.
 pub(crate) fn run(
-    inputs: &Inputs,
+    mut inputs: Inputs,
     options: &DriveOptions,
     hub: &Hub,
     commands: &Receiver<Input>,
     stop: &AtomicBool,
 ) -> Result<(), DriveError> {
+    let mut kept = None;
+    while let Some((log, next)) = run_log(&inputs, options, hub, commands, stop, kept)? {
+        inputs.log = log;
+        kept = Some(next);
+    }
+    Ok(())
+}
+
+/// Runs until the log is edited, and returns it with what is kept then; `None` at the end.
+fn run_log(
+    inputs: &Inputs,
+    options: &DriveOptions,
+    hub: &Hub,
+    commands: &Receiver<Input>,
+    stop: &AtomicBool,
+    kept: Option<Kept>,
+) -> Result<Option<(Log, Kept)>, DriveError> {
     let (jobs, asked) = channel();
-    let engine = Engine::new(inputs, options, hub, jobs)?;
+    let mut engine = Engine::new(inputs, options, hub, jobs)?;
+    if let Some(kept) = kept {
+        engine.restore(kept);
+    }
     hub.set_hello(hello::hello(&engine));
     let encoder = Encoder::new(inputs.log.reader());
     std::thread::scope(|scope| {
@@ -112,7 +138,8 @@ pub(crate) fn run(
             let mut desk = Desk { renderer: &mut renderer, report: &report, sender: &sender };
             match engine.serve(&mut desk, commands, stop)? {
                 Pause::Substitutes => {}
-                Pause::Stopped => return Ok(()),
+                Pause::Edited(log) => return Ok(Some((log, engine.keep()))),
+                Pause::Stopped => return Ok(None),
             }
         }
     })
@@ -152,6 +179,7 @@ impl<'a> Engine<'a> {
             is_stale: true,
             step_s: 0.0,
             saved: 0,
+            edited: None,
         })
     }
 
@@ -188,6 +216,9 @@ impl<'a> Engine<'a> {
                 }
                 next = commands.try_recv().ok();
             }
+            if let Some(log) = self.edited.take() {
+                return Ok(Pause::Edited(log));
+            }
             self.advance();
             if before != (self.view.default_templates, self.view.augment.clone()) {
                 return Ok(Pause::Substitutes);
@@ -223,7 +254,12 @@ impl<'a> Engine<'a> {
         match command {
             Command::View(change) => {
                 let offered = Offered { map: self.map.is_some(), generator: self.inputs.generator.is_some() };
-                self.view = self.view.changed(*change, &self.cameras, offered)?;
+                let view = self.view.changed(*change, &self.cameras, offered)?;
+                if view.edits != self.view.edits {
+                    let edited = self.inputs.log.edited(&view.edits);
+                    self.edited = Some(edited.map_err(|error| error.to_string())?);
+                }
+                self.view = view;
                 self.hub.tell(None, hello::view(&self.view));
                 self.greet();
             }
@@ -352,7 +388,7 @@ impl<'a> Engine<'a> {
         let Stage::Live(live) = &self.stage else { return };
         let substitutes = || self.view.substitutes(self.options.templates.as_deref());
         let hidden = |instant: &pskel_sim::Instant| instant.hiding(log, hide);
-        let follow_log = live.beginning.actors == ActorPolicy::Replay;
+        let follow_log = self.actors_follow_log(live);
         self.generation.ask(live.simulation(), substitutes, hidden, follow_log);
     }
 

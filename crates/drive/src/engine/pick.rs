@@ -109,7 +109,7 @@ pub(super) fn picked(
     let actor = instance.checked_sub(1).and_then(|index| state.actors.get(index));
     let actor = actor.map(|actor| {
         let mut assets = skeleton.manifest.actors.iter();
-        let asset = assets.find(|asset| asset.track == actor.track && asset.log == log.name);
+        let asset = assets.find(|asset| Some(asset.track.as_str()) == actor.asset() && asset.log == log.name);
         let boxes = recorded(log, &actor.track);
         let seconds = |t_us: i64| (t_us - log.frames.first().map_or(0, |frame| frame.t_us)) as f64 / 1e6;
         let center = actor.cuboid.pose.translation;

@@ -8,10 +8,10 @@ use point_skeleton::files::Inputs as ReadFiles;
 #[cfg(feature = "mcap")]
 use point_skeleton::files::OutputFile;
 use point_skeleton::raster::{MapKind, MapSet};
+use pskel_sim::TrajectoryFile;
 #[cfg(feature = "mcap")]
 use pskel_sim::rollout::MCAP;
 use pskel_sim::rollout::{ImageGenerator, InputPaths, Rollout, RolloutInputs, RolloutOptions, rollout_extra};
-use pskel_sim::{ActorPolicy, TrajectoryFile};
 use serde::Serialize;
 use serde_json::Value;
 
@@ -92,7 +92,7 @@ impl Engine<'_> {
         let (every, window) = self.planning();
         let simulation = live.replay_options(every, window).map_err(|error| with_causes(&error))?;
         let file = trajectory.as_ref().map_or_else(String::new, |path| path.display().to_string());
-        let follow_log = live.beginning.actors == ActorPolicy::Replay;
+        let follow_log = self.actors_follow_log(live);
         let own = self.drive_arguments(live, &file);
         if let Some(path) = &trajectory {
             self.write_trajectory(path)?;

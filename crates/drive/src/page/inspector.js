@@ -1,22 +1,27 @@
-// What is known of a picked pixel or actor; actors can be hidden.
+// What is known of a picked pixel or actor, and the changes of actors.
 
 import { fixed, make } from "./plots.js";
-import { send } from "./connection.js";
 import { openTab } from "./controls.js";
+import { editButtons, editList, shortTrack } from "./edits.js";
 import { emit, on, state } from "./store.js";
-import { button, byId } from "./widgets.js";
+import { byId } from "./widgets.js";
 
 const CLASSES = ["none", "vehicle", "pedestrian", "cycle", "object"];
 
 export function startInspector() {
   const panel = byId("inspector");
   const body = panel.appendChild(make("div", { id: "picked", "aria-live": "polite" }));
+  const edits = panel.appendChild(make("div"));
   body.append(make("p", { class: "facts" }, "Click a pixel of a camera, or an actor in the bird's-eye view."));
   let picked = null; // keeps the pixel's values while its own actor is selected
-  const show = () => {
-    body.replaceChildren();
+  const fill = () => {
+    if (picked?.camera || picked?.track) body.replaceChildren();
     if (picked?.camera) body.append(pixelTable(picked));
-    if (picked?.track) body.append(actorTable(picked.track, picked.actor), hideButton(picked.track));
+    if (picked?.track) body.append(actorTable(picked.track, picked.actor), editButtons(picked.track));
+    edits.replaceChildren(...editList());
+  };
+  const show = () => {
+    fill();
     openTab("inspector");
   };
   on("picked", (message) => {
@@ -30,7 +35,7 @@ export function startInspector() {
     picked = { track };
     show();
   });
-  on("view", () => { if (picked?.track) show(); });
+  on("view", fill);
 }
 
 function table(rows) {
@@ -64,13 +69,13 @@ function pixelTable({ camera, x, y, depth_m, class: name, point, rgb }) {
 }
 
 function actorTable(track, actor) {
-  const known = (state.hello?.actors ?? state.hello?.tracks ?? []).find((entry) => entry.track === track);
+  const known = (state.hello?.tracks ?? []).find((entry) => entry.track === track);
   const shown = (state.frame?.actors ?? []).find((entry) => entry.track === track);
   const seconds = (t_us) => fixed((t_us - (state.hello?.frames_us?.[0] ?? 0)) / 1e6, 1);
   const size = actor?.size_m ?? (shown ? [shown.length, shown.width] : null);
   return table([
     ["Actor", actor?.category ?? known?.category],
-    ["Track", track.length > 16 ? `\u2026${track.slice(-12)}` : track],
+    ["Track", shortTrack(track)],
     ["Asset", actor ? actor.asset ?? "none" : known?.points ? `${known.points} points` : "none"],
     ["Geometry of", typeof actor?.template === "boolean" ? (actor.template ? "a template" : "its own points") : null],
     ["Size", Array.isArray(size) ? `${size.map((value) => fixed(Number(value), 1)).join(" x ")} m` : null],
@@ -79,10 +84,4 @@ function actorTable(track, actor) {
     ["Boxes", actor?.boxes ?? known?.boxes],
     ["In the log", known ? `${seconds(known.first_us)} to ${seconds(known.last_us)} s` : null],
   ]);
-}
-
-function hideButton(track) {
-  const hidden = state.view.hide ?? [];
-  const is = hidden.includes(track);
-  return button(is ? "Show this actor" : "Hide this actor", () => send("view", { hide: is ? hidden.filter((other) => other !== track) : [...hidden, track] }), { id: "hide" });
 }

@@ -21,6 +21,7 @@ const FILES: &[(&str, &str, &str)] = &[
     file!("connection.js", JS),
     file!("controls.js", JS),
     file!("drive.css", CSS),
+    file!("edits.js", JS),
     file!("generator.js", JS),
     file!("inspector.js", JS),
     file!("keys.js", JS),

@@ -85,6 +85,7 @@ fn painter(cost: Duration, fails_at: Option<usize>) -> (LiveGenerator, Seen) {
         name: "painter".to_owned(),
         hz: 5.0,
         window: WINDOW,
+        forecasts: WINDOW,
         arguments: vec!["--generator".to_owned(), "painter".to_owned()],
         record: json!({"network": "painter"}),
         fact: "painted".to_owned(),

@@ -5,4 +5,5 @@ mod client;
 mod commands;
 mod connections;
 mod driving;
+mod edits;
 mod generation;

@@ -1,5 +1,6 @@
 pub(super) mod cache;
 pub(super) mod rolling;
+pub(super) mod scene;
 pub(super) mod session;
 pub(super) mod strategy;
 pub(super) mod window;

@@ -6,7 +6,7 @@ use pskel_sim::peer::ProtocolError;
 use safetensors::Dtype;
 
 use super::hello::{DenoiserOutputs, Precision};
-use super::message::{Answer, Values, message, shown};
+use super::message::{Answer, Values, message};
 use crate::{
     CAMERA_NUMBERS, DenoiserError, DroppedConditions, Frame, FrameConditions, GuidedPrediction, Latent,
     LatentShape,
@@ -140,25 +140,12 @@ pub(super) fn read_values(
     precision: Precision,
     sizes: &[usize],
 ) -> Result<Vec<f32>, ProtocolError> {
-    let tensor = answer.tensors.tensor(name).map_err(|_| {
-        let mut names = answer.tensors.names();
-        names.sort_unstable();
-        let found = if names.is_empty() { "none".to_owned() } else { shown(&names.join(", ")) };
-        ProtocolError::new(format!("a tensor `{name}`"), found)
-    })?;
     let dtype = match precision {
         Precision::F32 => Dtype::F32,
         Precision::F16 => Dtype::F16,
         Precision::Bf16 => Dtype::BF16,
     };
-    if tensor.dtype() != dtype {
-        let expected = format!("`{name}` as {dtype}, which its hello says,");
-        return Err(ProtocolError::new(expected, tensor.dtype().to_string()));
-    }
-    if tensor.shape() != sizes {
-        let found = shown(&format!("{:?}", tensor.shape()));
-        return Err(ProtocolError::new(format!("`{name}` of {sizes:?}"), found));
-    }
+    let tensor = answer.tensor(name, (dtype, ", which its hello says,"), sizes)?;
     Ok(values(tensor.data(), precision))
 }
 

@@ -7,7 +7,7 @@ use pskel_sim::peer::{Framing, Link, PeerError, PeerSpec, ProtocolError};
 use crate::DenoiserError;
 
 /// Maximum length of an answer, bytes.
-pub(super) const MAX_ANSWER_BYTES: u64 = 1 << 30;
+pub(crate) const MAX_ANSWER_BYTES: u64 = 1 << 30;
 
 /// Connection to the process, shared with the codec.
 pub(super) struct Shared(Mutex<Link>);

@@ -2,7 +2,7 @@ use point_skeleton::geometry::ImageSize;
 use pskel_sim::peer::ProtocolError;
 
 use super::connection::MAX_ANSWER_BYTES;
-use super::message::{Answer, message};
+use super::message::{Answer, Values, message};
 use super::rig::DenoiserRig;
 use crate::{DenoiserError, LatentShape, Prediction, SamplerOptions};
 
@@ -62,7 +62,7 @@ pub(super) fn hello(taken: &DenoiserInputs, rig: &DenoiserRig) -> Result<Vec<u8>
         ("cameras", serde_json::json!(rig.cameras).to_string()),
         ("image_sizes", serde_json::json!(sizes).to_string()),
     ];
-    message(texts, [])
+    message::<Values<'_>>(texts, [])
 }
 
 /// Parses and validates the answer to the hello.
@@ -112,7 +112,7 @@ pub(super) fn read_hello(answer: &[u8], taken: &DenoiserInputs) -> Result<Denois
 }
 
 /// Parses `H,W`, two positive numbers.
-fn image_size(text: &str) -> Option<ImageSize> {
+pub(crate) fn image_size(text: &str) -> Option<ImageSize> {
     let (height, width) = text.split_once(',')?;
     let side = |text: &str| text.trim().parse::<u32>().ok().filter(|side| (1..=1 << 15).contains(side));
     Some(ImageSize { height: side(height)?, width: side(width)? })

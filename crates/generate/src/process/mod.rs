@@ -3,9 +3,9 @@
 
 mod call;
 mod codec;
-mod connection;
-mod hello;
-mod message;
+pub(crate) mod connection;
+pub(crate) mod hello;
+pub(crate) mod message;
 mod rig;
 
 use std::sync::Arc;

@@ -2,6 +2,7 @@
 #![allow(clippy::unwrap_used)] // helpers outside `#[test]`
 
 mod beyond_log;
+mod images;
 mod process;
 mod references;
 mod rolls;

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
 use clap::Args;
+use point_skeleton::Log;
 use point_skeleton::conditions::{Captions, FrameCaptions};
 use point_skeleton::dataset::Recording;
 use point_skeleton::error::FileError;
@@ -12,10 +13,13 @@ use point_skeleton::files::json;
 use point_skeleton::files::text::printable;
 use point_skeleton::named::{Named, UnknownName};
 use pskel_generate::{
-    ConditionKind, DenoiserRig, Guidance, GuidedConditions, Preset, Recipe, SamplerOptions, Strategy,
+    ConditionKind, DenoiserRig, GenerationScene, Guidance, GuidedConditions, ImageProcess, ImageRig,
+    ImageSession, Preset, Recipe, SamplerOptions, Strategy,
 };
 use pskel_network::{DEFAULT_WINDOW, GeneratorSettings, NetworkName, OpenedNetwork};
-use pskel_sim::peer::MAX_TIMEOUT_S;
+use pskel_sim::peer::{MAX_TIMEOUT_S, PeerAddress, PeerError, PeerSpec};
+use pskel_sim::rollout::ImageGenerator;
+use serde_json::Value;
 
 use super::names::names;
 use super::numbers::finite;
@@ -26,12 +30,13 @@ use crate::WrongUsage;
 #[command(next_help_heading = "Generator")]
 pub(crate) struct GeneratorArgs {
     /// Generate the cameras' images with a network: network (shipped with the program), network:FILE with
-    /// weights of `python -m pskel.train`, fill (no network: holes filled), or process:COMMAND,
-    /// process:unix:PATH or process:tcp:HOST:PORT (docs/src/reference/denoiser.md). Each planning step gets
+    /// weights of `python -m pskel.train`, fill (no network: holes filled), process:PEER, a denoiser
+    /// (docs/src/reference/denoiser.md), or images:PEER, which makes whole images
+    /// (docs/src/reference/images.md); PEER is a COMMAND, unix:PATH or tcp:HOST:PORT. Each planning step gets
     /// steps/STEP/generated, and truth if ground truth is known. Map options apply to the written maps; the
     /// network's conditions are rendered as in its training
-    #[arg(long, value_name = "NETWORK")]
-    pub(crate) generator: Option<NetworkName>,
+    #[arg(long, value_name = "GENERATOR")]
+    pub(crate) generator: Option<GeneratorName>,
     /// Strategy for advancing the window, and its number: reset_and_roll or rolling, `clean` (leading frames
     /// of the window that are always clean, 0 without); causal, `history_noise` (noise on the previous frames
     /// in steps of 1000, 0 without); non_causal, `forecasts` (in the window, 1 without). Like
@@ -62,10 +67,10 @@ pub(crate) struct GeneratorArgs {
     /// With process:.., the kind of its predictions [default: the recipe's, else flow_match]
     #[arg(long, value_parser = names::<SamplerOptions>())]
     sampler: Option<SamplerOptions>,
-    /// With process:.. and fill, the recipe of the conditions as JSON, in which missing fields have their
+    /// With process:.., images:.. and fill, the recipe of the conditions as JSON, in which missing fields have their
     /// defaults; or pas-nuscenes, pas-nuplan, pas-image-nuscenes or pas-image-nuplan, for a network of the
     /// paper with the defaults of its window, steps, sampler and guidance [default for fill: as for the
-    /// shipped network]
+    /// shipped network; for images: maps of 256x448]
     #[arg(long, value_name = "RECIPE")]
     recipe: Option<PathBuf>,
     /// Captions, in place of the prompt of --annotations, by name of a recording or image token:
@@ -73,7 +78,7 @@ pub(crate) struct GeneratorArgs {
     /// has the previous frame's
     #[arg(long, value_name = "F.json")]
     captions: Option<PathBuf>,
-    /// With process:.., time-out for each of its answers, seconds [default: 60]
+    /// With process:.. and images:.., time-out for each of its answers, seconds [default: 60]
     #[arg(long, value_name = "S", value_parser = timeout_s)]
     generator_timeout: Option<f64>,
 }
@@ -113,30 +118,47 @@ impl GeneratorArgs {
 
     /// Rejects options that have no effect.
     pub(crate) fn check(&self) -> Result<(), WrongUsage> {
-        let is_process = matches!(self.generator, Some(NetworkName::Process(_)));
-        let takes_recipe = is_process || matches!(self.generator, Some(NetworkName::Fill));
+        let (process, fill) = match &self.generator {
+            Some(GeneratorName::Network(NetworkName::Process(_))) => (true, false),
+            Some(GeneratorName::Network(NetworkName::Fill)) => (false, true),
+            _ => (false, false),
+        };
+        let images = matches!(self.generator, Some(GeneratorName::Images(_)));
         let preset = self.preset().map(|preset| preset.guidance);
         let guided = self.guidance.or(preset).is_some_and(|scale| scale != 1.0);
-        let network = "--generator";
-        let process = "--generator process:..";
+        let any = "--generator";
+        let network = "--generator network, fill or process:..";
         let options = [
-            ("--strategy", self.strategy.is_some(), true, network),
-            ("--window", self.window.is_some(), true, network),
-            ("--infer-steps", self.infer_steps.is_some(), true, network),
-            ("--guidance", self.guidance.is_some(), true, network),
-            ("--without", !self.without.is_empty(), true, network),
-            ("--noise-seed", self.noise_seed.is_some(), true, network),
-            ("--captions", self.captions.is_some(), true, network),
+            ("--strategy", self.strategy.is_some(), !images, network),
+            ("--window", self.window.is_some(), !images, network),
+            ("--infer-steps", self.infer_steps.is_some(), !images, network),
+            ("--guidance", self.guidance.is_some(), !images, network),
+            ("--without", !self.without.is_empty(), !images, network),
+            ("--noise-seed", self.noise_seed.is_some(), true, any),
+            ("--captions", self.captions.is_some(), true, any),
             ("--guide", self.guide.is_some(), guided, "--guidance other than 1"),
-            ("--sampler", self.sampler.is_some(), is_process, process),
-            ("--recipe", self.recipe.is_some(), takes_recipe, "--generator process:.. or fill"),
-            ("--generator-timeout", self.generator_timeout.is_some(), is_process, process),
+            ("--sampler", self.sampler.is_some(), process, "--generator process:.."),
+            (
+                "--recipe",
+                self.recipe.is_some(),
+                process || images || fill,
+                "--generator process:.., images:.. or fill",
+            ),
+            (
+                "--generator-timeout",
+                self.generator_timeout.is_some(),
+                process || images,
+                "--generator process:.. or images:..",
+            ),
         ];
         let given = options.into_iter().filter(|(_, is_given, ..)| *is_given);
         let unused = given.into_iter().find(|(_, _, does, _)| self.generator.is_none() || !does);
         let Some((option, _, _, needs)) = unused else { return Ok(()) };
-        let needs = if self.generator.is_none() { network } else { needs };
-        Err(WrongUsage(format!("expected {needs} with {option}, found none")))
+        let Some(generator) = &self.generator else {
+            return Err(WrongUsage(format!("expected {any} with {option}, found none")));
+        };
+        let found = if needs.starts_with(any) { generator.to_string() } else { "none".to_owned() };
+        Err(WrongUsage(format!("expected {needs} with {option}, found {found}")))
     }
 
     /// Returns the number of frames in the window of images of another program.
@@ -148,14 +170,27 @@ impl GeneratorArgs {
         Ok(window)
     }
 
-    /// Opens or starts the network for the cameras of a log; `None` without `--generator`.
-    pub(crate) fn open(&self, rig: &DenoiserRig) -> anyhow::Result<Option<OpenedNetwork>> {
+    /// Opens or starts the generator for a log, `fps` frames per second; `None` without `--generator`.
+    pub(crate) fn open(&self, log: &Log, fps: f64) -> anyhow::Result<Option<OpenedGenerator>> {
         let Some(name) = &self.generator else { return Ok(None) };
-        let opened = self.settings()?.open(name, rig);
-        opened.map(Some).map_err(|error| match error.is_usage() {
-            true => WrongUsage(error.to_string()).into(),
-            false => error.into(),
-        })
+        let settings = self.settings()?;
+        Ok(Some(match name {
+            GeneratorName::Network(name) => {
+                let opened = settings.open(name, &DenoiserRig::of(log.recording(), fps));
+                OpenedGenerator::Network(Box::new(opened.map_err(|error| match error.is_usage() {
+                    true => WrongUsage(error.to_string()).into(),
+                    false => anyhow::Error::from(error),
+                })?))
+            }
+            GeneratorName::Images(address) => {
+                let whole = || Recipe { size: Recipe::default().drawn, ..Recipe::default() };
+                let spec = PeerSpec { address: address.clone(), timeout_s: settings.timeout_s };
+                let (has_map, seed) = (log.map().is_some(), settings.noise_seed);
+                let rig = ImageRig { log: log.recording(), has_map, fps, seed };
+                let recipe = settings.recipe.unwrap_or_else(whole);
+                OpenedGenerator::Process(Box::new(ImageProcess::start(&spec, recipe, &rig)?), name.clone())
+            }
+        }))
     }
 
     /// Reads the captions of a log.
@@ -170,7 +205,7 @@ impl GeneratorArgs {
     /// Returns the files that are read: weights, captions and recipe.
     pub(crate) fn inputs(&self) -> impl Iterator<Item = &Path> {
         let weights = match &self.generator {
-            Some(NetworkName::Network(weights)) => weights.as_deref(),
+            Some(GeneratorName::Network(NetworkName::Network(weights))) => weights.as_deref(),
             _ => None,
         };
         let recipe = self.recipe.as_deref().filter(|_| self.preset().is_none());
@@ -209,6 +244,94 @@ impl GeneratorArgs {
             recipe,
             timeout_s: self.generator_timeout.unwrap_or(defaults.timeout_s),
         })
+    }
+}
+
+/// Name of a generator.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) enum GeneratorName {
+    /// A network, by a sampler of this program.
+    Network(NetworkName),
+    /// A process that makes whole images.
+    Images(PeerAddress),
+}
+
+/// A generator that is opened for a log.
+pub(crate) enum OpenedGenerator {
+    /// A network, by a sampler of this program.
+    Network(Box<OpenedNetwork>),
+    /// A process that makes whole images, and its name.
+    Process(Box<ImageProcess>, GeneratorName),
+}
+
+impl OpenedGenerator {
+    /// Returns the number of frames in the window.
+    pub(crate) fn window(&self) -> usize {
+        match self {
+            Self::Network(network) => network.window(),
+            Self::Process(process, _) => process.window(),
+        }
+    }
+
+    /// Returns how many of the next planning steps it takes as forecasts, at most.
+    pub(crate) fn forecasts(&self) -> usize {
+        match self {
+            Self::Network(network) => network.window(),
+            Self::Process(process, _) => process.forecasts(),
+        }
+    }
+
+    /// Returns generator and options for `rollout.json`.
+    pub(crate) fn record(&self) -> serde_json::Result<Value> {
+        match self {
+            Self::Network(network) => serde_json::to_value(network.report()),
+            Self::Process(process, name) => {
+                let mut record = serde_json::to_value(process)?;
+                if let Some(fields) = record.as_object_mut() {
+                    fields.insert("process".to_owned(), name.to_string().into());
+                }
+                Ok(record)
+            }
+        }
+    }
+
+    /// Returns a line for the web page.
+    pub(crate) fn fact(&self) -> String {
+        match self {
+            Self::Network(network) => network.report().fact(),
+            Self::Process(process, name) => format!("images of {} by {name}", process.size()),
+        }
+    }
+
+    /// Starts a rollout.
+    pub(crate) fn session<'a>(
+        self,
+        scene: GenerationScene<'a>,
+    ) -> anyhow::Result<Box<dyn ImageGenerator + 'a>> {
+        Ok(match self {
+            Self::Network(network) => Box::new(network.session(&scene)?),
+            Self::Process(process, _) => Box::new(ImageSession::new(*process, scene)),
+        })
+    }
+}
+
+impl fmt::Display for GeneratorName {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Network(name) => name.fmt(f),
+            Self::Images(address) => write!(f, "images:{address}"),
+        }
+    }
+}
+
+impl FromStr for GeneratorName {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        match text.strip_prefix("images:") {
+            Some(address) => address.parse().map(Self::Images).map_err(|error: PeerError| error.to_string()),
+            None => text.parse().map(Self::Network).map_err(|error| format!("{error}, or images:..")),
+        }
     }
 }
 

@@ -1,5 +1,3 @@
-use std::collections::BTreeSet;
-
 use clap::Args;
 use point_skeleton::conditions::{
     BinScale, ColorFilter, ConditionOptions, DepthBins, DepthEmbedding, LayoutLayers, LayoutStyle, LineWidth,
@@ -58,22 +56,6 @@ pub(crate) struct MapArgs {
     /// maps; others with the template of their category, if available
     #[arg(long, value_name = "N", default_value_t = SelectionOptions::default().min_actor_points)]
     pub(crate) min_actor_points: usize,
-}
-
-/// Actors that are not drawn.
-#[derive(Clone, Debug, Default, Args)]
-#[command(next_help_heading = "Maps")]
-pub(crate) struct HiddenArgs {
-    /// Leave these actors out of all maps; a simulation has them all the same
-    #[arg(long, value_name = "TRACK,..", value_delimiter = ',')]
-    hide: Vec<String>,
-}
-
-impl HiddenArgs {
-    /// Returns their track ids.
-    pub(crate) fn tracks(&self) -> BTreeSet<String> {
-        self.hide.iter().cloned().collect()
-    }
 }
 
 impl MapArgs {

@@ -1,5 +1,6 @@
 //! Arguments that several commands share, each defined once, and parsers of their values.
 
+pub(crate) mod actors;
 pub(crate) mod frames;
 #[cfg(feature = "network")]
 pub(crate) mod generator;

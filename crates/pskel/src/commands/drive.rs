@@ -10,7 +10,7 @@ use std::sync::{Mutex, PoisonError};
 
 use clap::Args;
 use point_skeleton::conditions::write::meta::PromptParts;
-use point_skeleton::dataset::{LogLocator, Recording};
+use point_skeleton::dataset::LogLocator;
 use point_skeleton::files::Inputs as ReadFiles;
 use point_skeleton::skeleton::{self, BuildInput, BuildNeeds, BuildOptions, BuildRun, SkeletonWriter};
 use point_skeleton::{Log, Skeleton};
@@ -111,7 +111,7 @@ impl DriveArgs {
         progress("opening the recording", 0, 0);
         let log = self.roots.open(&self.log)?;
         let rates = Rates::of(self.log.format, log.recording());
-        let generator = self.generator(log.recording(), self.generate_hz.unwrap_or(rates.plan_hz))?;
+        let generator = self.generator(&log, self.generate_hz.unwrap_or(rates.plan_hz))?;
         let default = || self.out.join(SKELETONS).join(folder_name(&log.recording().name));
         let path = self.skeleton.clone().unwrap_or_else(default);
         let is_built = path.join("skeleton.json").exists();
@@ -133,24 +133,24 @@ impl DriveArgs {
     }
 
     /// Opens the generator. The first session takes what is opened here, later ones open it again.
-    fn generator(&self, log: &Recording, hz: f64) -> anyhow::Result<Option<LiveGenerator>> {
+    fn generator(&self, log: &Log, hz: f64) -> anyhow::Result<Option<LiveGenerator>> {
         let args = self.generator.clone();
         let (Some(name), Some(first)) = (args.name(), open_generator(&args, log, hz)?) else {
             return Ok(None);
         };
-        let (window, record, fact) = (first.window(), first.record()?, first.fact());
+        let (window, forecasts, record) = (first.window(), first.forecasts(), first.record()?);
+        let fact = first.fact();
         let (arguments, first) = (args.arguments(), Mutex::new(Some(first)));
         let open: Box<OpenGenerator> = Box::new(move |inputs, actors_follow_log| {
-            let log = inputs.log.recording();
             let opened = first.lock().unwrap_or_else(PoisonError::into_inner).take();
             let opened = match opened {
                 Some(opened) => opened,
-                None => open_generator(&args, log, hz)?.ok_or("there is no generator")?,
+                None => open_generator(&args, &inputs.log, hz)?.ok_or("there is no generator")?,
             };
             let follow_log = [false, actors_follow_log];
             Ok(opened.session(&inputs.log, inputs.log.map(), &PromptParts::default(), follow_log)?)
         });
-        Ok(Some(LiveGenerator { name, hz, window, arguments, record, fact, open }))
+        Ok(Some(LiveGenerator { name, hz, window, forecasts, arguments, record, fact, open }))
     }
 
     fn build(&self, log: &Log, path: &Path, progress: &Progress<'_>) -> anyhow::Result<Skeleton> {
@@ -164,7 +164,7 @@ impl DriveArgs {
     }
 }
 
-fn open_generator(args: &GeneratorArgs, log: &Recording, hz: f64) -> anyhow::Result<Option<Opened>> {
+fn open_generator(args: &GeneratorArgs, log: &Log, hz: f64) -> anyhow::Result<Option<Opened>> {
     Opened::open(args, &GivenImages::default(), log, hz)
 }
 

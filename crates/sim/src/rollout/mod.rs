@@ -114,6 +114,7 @@ impl<'a> Rollout<'a> {
             conditions: options.conditions,
             selection: options.selection,
             hide: options.hide,
+            edits: scenario.log.edits.clone(),
             format: options.format,
             forecast_steps: options.forecast_steps,
             sheets: options.sheets,

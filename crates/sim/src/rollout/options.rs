@@ -3,6 +3,7 @@ use std::path::Path;
 
 use point_skeleton::conditions::write::meta::PromptParts;
 use point_skeleton::conditions::{ConditionOptions, MapFormat};
+use point_skeleton::dataset::ActorEdits;
 #[cfg(feature = "mcap")]
 use point_skeleton::files::OutputFile;
 use point_skeleton::scene::{SelectionOptions, SubstituteReport};
@@ -98,6 +99,8 @@ pub(super) struct RolloutRecord {
     pub(super) selection: SelectionOptions,
     #[serde(skip_serializing_if = "BTreeSet::is_empty")]
     pub(super) hide: BTreeSet<String>,
+    #[serde(flatten)]
+    pub(super) edits: ActorEdits,
     pub(super) format: MapFormat,
     pub(super) forecast_steps: usize,
     pub(super) sheets: bool,

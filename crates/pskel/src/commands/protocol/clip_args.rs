@@ -9,7 +9,7 @@ use point_skeleton::error::FileError;
 use point_skeleton::files::{Checksum, Inputs, OutputFolder, write_json};
 use point_skeleton::scene::{SelectionOptions, SubstituteOptions};
 use pskel_eval::protocol::{Part, Protocol, check_settings};
-use pskel_generate::{DenoiserRig, ImageFolder, ImportOptions};
+use pskel_generate::{ImageFolder, ImportOptions};
 use pskel_sim::{ActorPolicy, Rates};
 use serde::Serialize;
 use serde_json::Value;
@@ -159,9 +159,9 @@ impl ClipProtocolArgs {
         let (generator, window) = if images.is_some() {
             (Value::Null, self.generator.images_window()?)
         } else {
-            let opened = self.generator.open(&DenoiserRig::of(log.recording(), rates.plan_hz))?;
-            let opened = opened.context("expected a network for --generator, found none")?;
-            (serde_json::to_value(opened.report())?, opened.window())
+            let opened = self.generator.open(&log, rates.plan_hz)?;
+            let opened = opened.context("expected a --generator, found none")?;
+            (opened.record()?, opened.window())
         };
         let settings = serde_json::to_value(Settings {
             protocol: protocol.name(),

@@ -3,14 +3,15 @@ use std::path::PathBuf;
 
 use clap::Args;
 use point_skeleton::conditions::{ConditionOptions, MapFormat, MapSet};
-use point_skeleton::dataset::Recording;
+use point_skeleton::dataset::{ActorEdits, Recording};
 use point_skeleton::files::Inputs;
 use point_skeleton::scene::{EgoOffset, LogTimes, SelectionOptions, SubstituteReport};
 use serde::Serialize;
 
 use crate::WrongUsage;
+use crate::args::actors::ActorArgs;
 use crate::args::frames::{FrameArgs, MovedEgoArgs, RateArgs};
-use crate::args::maps::{HiddenArgs, MapArgs};
+use crate::args::maps::MapArgs;
 use crate::args::outputs::FolderArgs;
 use crate::args::prompt::PromptArgs;
 use crate::args::rasterizer::RasterizerArgs;
@@ -61,7 +62,7 @@ pub(crate) struct RenderArgs {
     #[command(flatten)]
     pub(super) maps: MapArgs,
     #[command(flatten)]
-    pub(super) hidden: HiddenArgs,
+    pub(super) actors: ActorArgs,
     #[command(flatten)]
     pub(super) substitutes: SubstituteArgs,
     #[command(flatten)]
@@ -77,6 +78,8 @@ pub(super) struct RenderOptions {
     pub(super) selection: SelectionOptions,
     #[serde(skip_serializing_if = "BTreeSet::is_empty")]
     hide: BTreeSet<String>,
+    #[serde(flatten)]
+    edits: ActorEdits,
     /// Times per second, unless frames were rendered.
     hz: Option<f64>,
     #[serde(flatten)]
@@ -131,7 +134,8 @@ impl RenderArgs {
         RenderOptions {
             conditions: self.maps.conditions(maps),
             selection: self.maps.selection(),
-            hide: self.hidden.tracks(),
+            hide: self.actors.hidden(),
+            edits: self.actors.edits(),
             hz: self.rate.hz,
             substitutes,
             ego_offset: self.moved.ego_offset.unwrap_or_default(),

@@ -25,7 +25,7 @@ use crate::{WrongUsage, print_result, warn};
 pub(crate) fn run(args: RenderArgs) -> anyhow::Result<()> {
     let start = Instant::now();
     args.check()?;
-    let source = args.source.open()?;
+    let source = args.actors.edit(&args.source.open()?)?;
     let log = source.recording();
     for (note, count) in log.notes.iter().filter(|(note, _)| note.contains("camera_distortion")) {
         warn(&format!("{count} {note}"));
@@ -36,7 +36,7 @@ pub(crate) fn run(args: RenderArgs) -> anyhow::Result<()> {
     if args.distort {
         warn_of_uncovered(log.rig.iter().map(|rig| &rig.camera));
     }
-    let skeleton = args.source.open_skeleton(log)?;
+    let skeleton = args.source.open_skeleton(source.unedited())?;
     let views = args.cameras.as_deref().map(cloud::cameras::read).transpose()?;
     let prompt = args.prompt.read()?;
     let map = if args.wants_map() { source.require_map()? } else { None };
@@ -49,7 +49,7 @@ pub(crate) fn run(args: RenderArgs) -> anyhow::Result<()> {
     })?;
     let offset = args.moved.ego_offset.unwrap_or_default();
     let states = SceneSequence::new(log, args.times(log)?, offset, views, map).map_err(usage)?;
-    let states = states.hiding(args.hidden.tracks()).map_err(usage)?;
+    let states = states.hiding(args.actors.hidden()).map_err(usage)?;
     let (substitutes, substitute_report) = args.substitutes.options().make(&skeleton, &log.name)?;
     let options = args.options(maps, substitute_report);
     let mut renderer = Renderer::new(

@@ -22,7 +22,8 @@ use pskel_sim::{
 use super::generation::{GeneratorArgs, GivenImages};
 use super::inputs::Inputs;
 use super::policies::PolicyArgs;
-use crate::args::maps::{HiddenArgs, MapArgs};
+use crate::args::actors::ActorArgs;
+use crate::args::maps::MapArgs;
 use crate::args::numbers;
 use crate::args::outputs::{self, FolderArgs};
 use crate::args::prompt::PromptArgs;
@@ -78,7 +79,7 @@ pub(crate) struct SimulateArgs {
     #[command(flatten)]
     pub(super) maps: MapArgs,
     #[command(flatten)]
-    pub(super) hidden: HiddenArgs,
+    pub(super) actors: ActorArgs,
     #[command(flatten)]
     pub(super) substitutes: SubstituteArgs,
     #[command(flatten)]
@@ -162,7 +163,7 @@ impl SimulateArgs {
             policies: PolicyArgs::of_clip(clip.ego, clip.actors, rates),
             generator: clip.generator,
             maps: clip.maps,
-            hidden: HiddenArgs::default(),
+            actors: ActorArgs::default(),
             substitutes: clip.substitutes,
             rasterizer: clip.rasterizer,
             frames,
@@ -252,8 +253,9 @@ impl SimulateArgs {
             })?;
             source = Log::new(Box::new(moved));
         }
+        let source = self.actors.edit(&source)?;
         let log = source.recording();
-        let skeleton = self.source.open_skeleton(unmoved.as_ref().unwrap_or(log))?;
+        let skeleton = self.source.open_skeleton(unmoved.as_ref().unwrap_or(source.unedited()))?;
         let prompt = self.prompt.read()?;
         let map = self.read_map(&source)?;
         let maps = self.maps.kinds(map.is_some()).with_context(|| {
@@ -308,7 +310,8 @@ impl SimulateArgs {
 
     /// Returns whether ego and other actors follow the log throughout.
     pub(super) fn follow_log(&self) -> [bool; 2] {
-        [self.policies.ego == EgoKind::Replay, self.policies.actors == ActorPolicy::Replay]
+        let actors = self.policies.actors == ActorPolicy::Replay && self.actors.edits().is_empty();
+        [self.policies.ego == EgoKind::Replay, actors]
     }
 
     /// Returns whether steps are the log's own frames, as in `pskel generate`.

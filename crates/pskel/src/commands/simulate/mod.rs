@@ -62,7 +62,7 @@ pub(crate) fn rollout(args: SimulateArgs) -> anyhow::Result<String> {
     let scenario = Scenario { log, map: map.clone(), rates: Rates::of(args.source.log.format, log) };
     let mut simulation = args.sim_options(&scenario)?;
     let rates = simulation.rates(scenario.rates, log).map_err(|error| usage(error.into()))?;
-    let opened = Opened::open(&args.generator, &args.images, log, rates.plan_hz)?;
+    let opened = Opened::open(&args.generator, &args.images, &inputs.log, rates.plan_hz)?;
     args.check_steps(simulation.steps, opened.as_ref().map(Opened::window))?;
     simulation.warmup_frames = args.warmup_frames(opened.as_ref().map(Opened::window))?;
     let planned = Planned {
@@ -159,7 +159,7 @@ fn options(
         simulation,
         conditions: ConditionOptions { out_size, ..conditions },
         selection: args.maps.selection(),
-        hide: args.hidden.tracks(),
+        hide: args.actors.hidden(),
         format: args.maps.format,
         forecast_steps: args.forecast_steps(),
         sheets: args.sheets,

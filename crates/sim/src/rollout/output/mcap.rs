@@ -141,6 +141,7 @@ fn actor(row: &ActorRow) -> ActorState {
         category: row.category.clone(),
         class: Class::from_category(&row.category),
         cuboid: Cuboid { pose, size: row.size_m.into() },
+        appearance: None,
     }
 }
 

@@ -4,7 +4,6 @@ use std::sync::Arc;
 use clap::Args;
 use point_skeleton::Log;
 use point_skeleton::conditions::write::meta::PromptParts;
-use point_skeleton::dataset::Recording;
 use point_skeleton::scene::SceneMap;
 use pskel_sim::rollout::ImageGenerator;
 use serde_json::Value;
@@ -49,13 +48,18 @@ impl Opened {
     pub(crate) fn open(
         _: &GeneratorArgs,
         _: &GivenImages,
-        _log: &Recording,
+        _log: &Log,
         _fps: f64,
     ) -> anyhow::Result<Option<Self>> {
         Ok(None)
     }
 
     pub(crate) fn window(&self) -> usize {
+        match *self {}
+    }
+
+    #[cfg(feature = "drive")]
+    pub(crate) fn forecasts(&self) -> usize {
         match *self {}
     }
 
