@@ -25,7 +25,7 @@ from pskel.drivearena.road_map import RoadMap
 COMMAND = [sys.executable, "-m", "pskel.drivearena"]
 NAMES = ["CAM_FRONT", "CAM_FRONT_RIGHT", "CAM_FRONT_LEFT", "CAM_BACK", "CAM_BACK_LEFT", "CAM_BACK_RIGHT"]  # of nuScenes
 HELLO = {
-    "protocol": "pskel-images", "version": "1", "log": "scene-0061", "seed": "0", "fps": "2.0", "frame": "0",
+    "protocol": "pskel-images", "version": "1", "log": "scene-0061", "seed": "0", "fps": "2.0",
     "condition_size": "256,448", "cameras": json.dumps(NAMES), "image_sizes": json.dumps([[1600, 900]] * 6), "maps": '["color"]',
 }  # fmt: skip
 
