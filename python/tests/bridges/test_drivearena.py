@@ -168,6 +168,7 @@ def test_images_of_a_world_dreamer(square: Path) -> None:
         ("text", "expected a PNG of the world dreamer, found text/html: b'<html>busy</html>'"),
         ("size", "expected images of the world dreamer of 1344x400 in all, found 1344x200"),
         ("cut", "expected a PNG of the world dreamer, found "),
+        ("short", "expected an answer of POST URL/dreamer-api/, found "),
     ],
 )
 def test_failures_of_a_world_dreamer(fails: str, expected: str) -> None:
