@@ -467,6 +467,22 @@ def test_images_in_one_process(log: pskel.Log, renderer: pskel.Renderer) -> None
     assert np.isinf(generator.requests[0].maps["depth"]).any()
 
 
+def test_earlier_images_are_kept_apart(log: pskel.Log, renderer: pskel.Renderer) -> None:
+    class Same(Blend):
+        image = np.zeros((6, 56, 100, 3), np.uint8)
+
+        def generate(self, request: pskel.ImageRequest) -> Any:
+            super().generate(request)
+            self.image[:] = request.frame  # one array for all images
+            return self.image
+
+    generator = Same()
+    for shown in images.Images(pskel.Simulation(log, ego="lane_change", warmup_frames=2, steps=12), renderer, generator, log):
+        shown[:] = 255
+    means = [[int(image.mean()) for image in request.images] for request in generator.requests]
+    assert means[2:] == [[means[1][1], 2, 3], [2, 3, 4], [3, 4, 5]] and 255 not in means[0]
+
+
 def test_what_the_images_of_one_process_need(log: pskel.Log, renderer: pskel.Renderer, skeleton: pskel.Skeleton) -> None:
     def run(simulation: pskel.Simulation, by: pskel.Renderer = renderer, **attributes: Any) -> None:
         generator = Blend()
