@@ -62,8 +62,8 @@ pub(crate) fn writer<'a>(
 /// Checks, before any work, that a layout can hold the maps of a log.
 ///
 /// # Errors
-/// Fails if the encoder of the layout cannot encode the sizes of the maps, or if the log has another rate, more
-/// cameras or fewer frames than the layout.
+/// Fails if the encoder of the layout cannot encode the sizes of the maps, or if the log has another rate,
+/// more cameras or fewer frames than the layout.
 pub(crate) fn check(options: &ExportOptions, log: &Recording) -> Result<(), ExportError> {
     if let Some(rules) = options.layout.clip_rules() {
         clips::check(rules, options, log)?;

@@ -1,5 +1,5 @@
-//! The layout `alpasim`: the archive, and its documents compared with the log. `python/tests/test_export_alpasim.py`
-//! reads the tables.
+//! The layout `alpasim`: the archive, and its documents compared with the log.
+//! `python/tests/test_export_alpasim.py` reads the tables.
 
 use std::collections::BTreeMap;
 use std::io::{Cursor, Read};

@@ -13,24 +13,27 @@ pub(super) struct Cameras<'a>(BTreeMap<String, Named<'a>>);
 /// A camera with a name.
 pub(super) struct Named<'a> {
     pub(super) rig: &'a RigCamera,
-    /// Its images between the first and the last ego pose, in order of time.
-    images: Vec<&'a ImageRecord>,
+    /// Times of its images between the first and the last frame, microseconds; of the frames without images.
+    pub(super) times_us: Vec<i64>,
+    first_image: Option<&'a ImageRecord>,
     /// Whether the name is of NVIDIA's rig.
     is_slot: bool,
 }
 
 impl<'a> Cameras<'a> {
     pub(super) fn new(clip: &Clip<'a>) -> Self {
-        let images = |rig: &RigCamera| images(clip, rig.channel);
         let rig = &clip.log.rig;
-        let own = rig
-            .iter()
-            .map(|rig| (rig.camera.name.to_string(), Named { rig, images: images(rig), is_slot: false }));
+        let slots = slots::names(rig).into_iter().zip(rig);
+        let slots =
+            slots.filter_map(|(name, rig)| Some((name?.replace(':', "_"), Named::new(clip, rig, true))));
+        let mut cameras: BTreeMap<String, Named<'_>> = slots.collect();
         // A log with the names of NVIDIA's rig retains its own.
-        let slots = slots::names(rig).into_iter().zip(rig).filter_map(|(name, rig)| {
-            Some((name?.replace(':', "_"), Named { rig, images: images(rig), is_slot: true }))
-        });
-        Self(slots.chain(own).collect())
+        for rig in rig {
+            let name = rig.camera.name.to_string();
+            let is_slot = cameras.contains_key(&name);
+            cameras.insert(name, Named::new(clip, rig, is_slot));
+        }
+        Self(cameras)
     }
 
     /// Returns the cameras in alphabetical order of their names.
@@ -40,19 +43,23 @@ impl<'a> Cameras<'a> {
 
     /// Returns the first image of each camera with a name of NVIDIA's rig.
     pub(super) fn first_images(&self) -> impl Iterator<Item = (&str, &'a ImageRecord)> {
-        self.iter()
-            .filter(|(_, camera)| camera.is_slot)
-            .filter_map(|(name, camera)| Some((name, *camera.images.first()?)))
+        let slots = self.iter().filter(|(_, camera)| camera.is_slot);
+        slots.filter_map(|(name, camera)| Some((name, camera.first_image?)))
     }
 }
 
-impl Named<'_> {
-    /// Returns the times of the images, microseconds.
-    pub(super) fn times_us(&self) -> impl Iterator<Item = i64> {
-        self.images.iter().map(|image| image.t_us)
+impl<'a> Named<'a> {
+    fn new(clip: &Clip<'a>, rig: &'a RigCamera, is_slot: bool) -> Self {
+        let images = images(clip, rig.channel);
+        let times_us = match images.as_slice() {
+            [] => clip.frames.iter().map(|frame| frame.t_us).collect(),
+            images => images.iter().map(|image| image.t_us).collect(),
+        };
+        Self { rig, times_us, first_image: images.first().copied(), is_slot }
     }
 }
 
+/// Returns the images of a camera between the first and the last frame, in order of time.
 fn images<'a>(clip: &Clip<'a>, channel: usize) -> Vec<&'a ImageRecord> {
     let Some(times_us) = clip.times_us() else { return Vec::new() };
     let all = clip.frames.iter().flat_map(|frame| frame.between_images.iter().chain(&frame.images));

@@ -1,7 +1,8 @@
 //! JSON documents of a scene. Poses are in local coordinates, and times are microseconds.
 
 use glam::{DMat4, DVec3};
-use point_skeleton::geometry::{Camera, Pose};
+use point_skeleton::dataset::Track;
+use point_skeleton::geometry::{Camera, Cuboid, Pose};
 use pskel_sim::{EGO_SIZE_M, REAR_AXLE_TO_CENTER_M};
 use serde_json::{Map, Value, json};
 use sha2::{Digest, Sha256};
@@ -30,11 +31,12 @@ pub(super) fn rig_trajectories(clip: &Clip<'_>, cameras: &Cameras<'_>) -> Value 
         })
         .collect();
     // All pixels of an image are of one instant, and AlpaSim expects that a shutter closes after it opens.
-    let shutter = |camera: &super::cameras::Named<'_>| -> Vec<[i64; 2]> {
-        camera.times_us().map(|t_us| [t_us - 1, t_us]).collect()
-    };
-    let shutters: Map<String, Value> =
-        cameras.iter().map(|(name, camera)| (name.to_owned(), json!(shutter(camera)))).collect();
+    let shutters: Map<String, Value> = cameras
+        .iter()
+        .map(|(name, camera)| {
+            (name.to_owned(), camera.times_us.iter().map(|t_us| json!([t_us - 1, t_us])).collect())
+        })
+        .collect();
     let center = DVec3::new(REAR_AXLE_TO_CENTER_M, 0.0, 0.5 * EGO_SIZE_M.z);
     json!({
         // Ego and tracks have the same coordinates.
@@ -58,7 +60,7 @@ pub(super) fn rig_trajectories(clip: &Clip<'_>, cameras: &Cameras<'_>) -> Value 
 /// All are `CONTROLLABLE`: AlpaSim takes others for a part of the background and does not name them to the
 /// renderer. The size of a track is the median of its boxes.
 pub(super) fn sequence_tracks(clip: &Clip<'_>) -> (Value, usize) {
-    let mut boxes = vec![Vec::new(); clip.log.tracks.len()];
+    let mut boxes: Vec<Vec<(i64, Cuboid)>> = vec![Vec::new(); clip.log.tracks.len()];
     for frame in clip.frames {
         for item in &frame.boxes {
             boxes[item.track].push((frame.t_us, item.cuboid));
@@ -68,30 +70,29 @@ pub(super) fn sequence_tracks(clip: &Clip<'_>) -> (Value, usize) {
         of_track.dedup_by_key(|(t_us, _)| *t_us);
     }
     let skipped = boxes.iter().filter(|boxes| boxes.len() == 1).count();
-    let tracks = || clip.log.tracks.iter().zip(&boxes).filter(|(_, boxes)| boxes.len() >= MIN_BOXES);
+    let (tracks, boxes): (Vec<&Track>, Vec<Vec<(i64, Cuboid)>>) =
+        clip.log.tracks.iter().zip(boxes).filter(|(_, boxes)| boxes.len() >= MIN_BOXES).unzip();
     let pose = |pose: Pose| {
         let pose = clip.clip_from_global * pose;
         let [x, y, z] = pose.translation.to_array();
         let [qx, qy, qz, qw] = pose.rotation.to_array();
         [x, y, z, qx, qy, qz, qw]
     };
-    let list = |value: &dyn Fn(&str, &str, &[(i64, point_skeleton::geometry::Cuboid)]) -> Value| -> Value {
-        tracks().map(|(track, boxes)| value(&track.id, &track.category, boxes)).collect()
-    };
+    let poses =
+        |boxes: &Vec<(i64, Cuboid)>| boxes.iter().map(|(_, cuboid)| json!(pose(cuboid.pose))).collect();
+    let times_us = |boxes: &Vec<(i64, Cuboid)>| boxes.iter().map(|(t_us, _)| *t_us).collect();
+    let size = |boxes: &Vec<(i64, Cuboid)>| median(boxes.iter().map(|(_, cuboid)| cuboid.size));
+    let labels: Vec<&str> = tracks.iter().map(|track| category(&track.category)).collect();
     let document = json!({
         clip.name.clone(): {
             "tracks_data": {
-                "tracks_id": list(&|id, _, _| json!(id)),
-                "tracks_label_class": list(&|_, of, _| json!(category(of))),
-                "tracks_flags": list(&|_, _, _| json!(["CONTROLLABLE"])),
-                "tracks_timestamps_us": list(&|_, _, boxes| boxes.iter().map(|(t_us, _)| *t_us).collect()),
-                "tracks_poses":
-                    list(&|_, _, boxes| boxes.iter().map(|(_, cuboid)| json!(pose(cuboid.pose))).collect()),
+                "tracks_id": tracks.iter().map(|track| track.id.as_str()).collect::<Vec<_>>(),
+                "tracks_label_class": labels,
+                "tracks_flags": vec![["CONTROLLABLE"]; tracks.len()],
+                "tracks_timestamps_us": boxes.iter().map(times_us).collect::<Vec<Vec<i64>>>(),
+                "tracks_poses": boxes.iter().map(poses).collect::<Vec<Value>>(),
             },
-            "cuboidtracks_data": {
-                "cuboids_dims":
-                    list(&|_, _, boxes| json!(median(boxes.iter().map(|(_, cuboid)| cuboid.size)))),
-            },
+            "cuboidtracks_data": { "cuboids_dims": boxes.iter().map(size).collect::<Vec<_>>() },
         },
     });
     (document, skipped)
@@ -108,6 +109,7 @@ pub(super) fn metadata(clip: &Clip<'_>, cameras: &Cameras<'_>, entries: &[Entry]
     }
     let hash: String = hash.finalize().iter().map(|byte| format!("{byte:02x}")).collect();
     let [first_us, last_us] = clip.times_us().map_or([0, 0], |times| [*times.start(), *times.end()]);
+    let names: Vec<&str> = cameras.iter().map(|(name, _)| name).collect();
     json!({
         "scene_id": clip.name,
         "version_string": concat!("point-skeleton ", env!("CARGO_PKG_VERSION")),
@@ -116,7 +118,7 @@ pub(super) fn metadata(clip: &Clip<'_>, cameras: &Cameras<'_>, entries: &[Entry]
         "dataset_hash": hash,
         "uuid": uuid(&hash),
         "is_resumable": false,
-        "sensors": { "camera_ids": cameras.iter().map(|(name, _)| name).collect::<Vec<_>>(), "lidar_ids": [] },
+        "sensors": { "camera_ids": names, "lidar_ids": [] },
         "logger": {},
         "time_range": { "start": first_us, "end": last_us },
         "training_step_outputs": {},

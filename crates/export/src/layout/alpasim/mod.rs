@@ -1,5 +1,5 @@
-//! `alpasim`: `LOG.usdz`, a scene for the runtime of NVIDIA's AlpaSim. It has what a scene of NuRec has except
-//! for the neural reconstruction and its meshes, in place of which `pskel.serve` renders.
+//! `alpasim`: `LOG.usdz`, a scene for the runtime of NVIDIA's AlpaSim. It has what a scene of NuRec has,
+//! except for the neural reconstruction and its meshes, in place of which `pskel.serve` renders.
 //!
 //! A USDZ is a ZIP whose files are stored without compression, at multiples of 64 bytes. The files:
 //! - `metadata.yaml`, `rig_trajectories.json` (cameras and ego) and `sequence_tracks.json` (actors),
@@ -7,10 +7,10 @@
 //! - `frames/CAMERA/MICROSECONDS.jpeg`: the first image of each camera.
 //!
 //! # How it works
-//! All coordinates are local, because AlpaSim converts them to 32 bits: the origin is the ego's position at the
-//! log's first frame, rounded down, which is also that of `pskel.serve`. Axes are global, and `T_world_base` is
-//! the translation to global coordinates. AlpaSim names the cameras of `pskel.serve` as the log does, those of
-//! its video model as NVIDIA's rig; a scene has both names.
+//! All coordinates are local, because AlpaSim converts them to 32 bits: the origin is the ego's position at
+//! the log's first frame, rounded down, which is also that of `pskel.serve`. Axes are global, and
+//! `T_world_base` is the translation to global coordinates. AlpaSim names the cameras of `pskel.serve` as the
+//! log does, those of its video model as NVIDIA's rig; a scene has both names.
 
 mod archive;
 mod cameras;
