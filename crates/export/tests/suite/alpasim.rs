@@ -62,12 +62,13 @@ fn exported(frames: Option<[usize; 2]>) -> (Vec<u8>, BTreeMap<String, Vec<u8>>) 
     let mut files = BTreeMap::new();
     for index in 0..zip.len() {
         let mut file = zip.by_index(index).unwrap();
+        let name = file.name().unwrap().into_owned();
         assert_eq!(file.compression(), CompressionMethod::Stored);
         assert_eq!(file.last_modified(), Some(DateTime::default()));
-        assert_eq!(file.data_start().unwrap() % 64, 0, "{}", file.name());
+        assert_eq!(file.data_start().unwrap() % 64, 0, "{name}");
         let mut content = Vec::new();
         file.read_to_end(&mut content).unwrap();
-        files.insert(file.name().to_owned(), content);
+        files.insert(name, content);
     }
     (bytes, files)
 }
