@@ -40,7 +40,8 @@ impl Log {
         Self { reader: Arc::clone(&source), source, ego, map: Arc::default() }
     }
 
-    /// Returns the log with other edits of its actors than it has: `edits` begin with the log as it was opened.
+    /// Returns the log with other edits of its actors than it has: `edits` begin with the log as it was
+    /// opened.
     ///
     /// # Errors
     /// Fails if the log does not have a track at its time.

@@ -31,7 +31,8 @@ pub enum OpenedGenerator {
 }
 
 impl GeneratorSettings {
-    /// Opens the weights or starts the process, for the cameras of a log. `has_map`: whether it has an HD map.
+    /// Opens the weights or starts the process, for the cameras of a log. `has_map`: whether the log has an
+    /// HD map.
     ///
     /// # Errors
     /// Fails as [`GeneratorSettings::open`] and [`ImageProcess::start`].

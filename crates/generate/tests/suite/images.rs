@@ -39,7 +39,8 @@ fn script(folder: &Path, lines: &str) -> PeerAddress {
          texts = header.pop('__metadata__')\n    \
          return texts, {{name: (t['dtype'], t['shape'], part(t)) for name, t in header.items()}}\n\
          def say(texts={{}}, **tensors):\n    write(out, texts, tensors)\n\
-         HELLO = {{'protocol': 'pskel-images', 'version': '1', 'image_size': '24,40'}}\nSHAPE = [6, 24, 40, 3]\n"
+         HELLO = {{'protocol': 'pskel-images', 'version': '1', 'image_size': '24,40'}}\n\
+         SHAPE = [6, 24, 40, 3]\n"
     );
     std::fs::write(&path, format!("{head}{lines}\n")).unwrap();
     PeerAddress::Command(format!("exec python3 {}", path.display()))
@@ -132,7 +133,8 @@ fn drive(
 /// Answers with the color maps; reports what it sees on standard error only if something is wrong.
 const COLOR: &str = "
 see()
-say(HELLO | {'maps': '[\"color\", \"depth\", \"instance\"]', 'references': '2', 'history': '3', 'forecasts': '4'})
+counts = {'references': '2', 'history': '3', 'forecasts': '4'}
+say(HELLO | counts | {'maps': '[\"color\", \"depth\", \"instance\"]'})
 while (message := see()) is not None:
     texts, tensors = message
     times, frame = json.loads(texts['t_us']), int(texts['frame'])
@@ -142,9 +144,11 @@ while (message := see()) is not None:
     assert tensors['depth'][0] == 'F32' and list(tensors['depth'][1]) == [5, 6, 24, 40]
     assert tensors['instance'][0] == 'U16' and list(tensors['instance'][1]) == [5, 6, 24, 40]
     poses = struct.unpack('<80d', tensors['global_from_ego'][2])
-    assert poses[16 * 4 + 3] > poses[3] and poses[15] == 1.0 and list(tensors['intrinsics'][1]) == [5, 6, 3, 3]
+    assert poses[16 * 4 + 3] > poses[3] and poses[15] == 1.0
+    assert list(tensors['intrinsics'][1]) == [5, 6, 3, 3]
     actors = json.loads(texts['actors'])
-    assert {actor['track'] for actor in actors[0]} <= {'ahead', 'cone', 'left'} and len(actors) == len(times) == 5
+    assert {actor['track'] for actor in actors[0]} <= {'ahead', 'cone', 'left'}
+    assert len(actors) == len(times) == 5
     assert list(tensors['images'][1]) == [min(frame, 3), *SHAPE], tensors['images'][1]
     earlier = tensors['images'][2]
     image = color[: len(color) // 5]
@@ -230,7 +234,9 @@ while (message := see()) is not None:
     let all = drive(scene.log.recording(), &mut scene.simulation(), &mut session, &mut renderer);
     for (frame, (made, saved)) in all.iter().enumerate() {
         assert!(!made.is_reference && saved.is_some());
-        assert!(made.images.iter().all(|image| image.as_raw().iter().all(|level| usize::from(*level) == frame)));
+        assert!(
+            made.images.iter().all(|image| image.as_raw().iter().all(|level| usize::from(*level) == frame))
+        );
     }
 }
 

@@ -38,7 +38,8 @@ fn conditions_are_sent_once_and_exactly() {
     let calls = [[0, 0, 1, 2], [0, 0, 1, 2], [1, 2, 3, 4], [0, 1, 2, 5]];
     calls.into_iter().for_each(&mut call);
     let mut seen = std::collections::BTreeMap::new();
-    for (number, (positions, new)) in calls.iter().zip([vec![0, 1, 2], vec![], vec![3, 4], vec![0, 5]]).enumerate()
+    for (number, (positions, new)) in
+        calls.iter().zip([vec![0, 1, 2], vec![], vec![3, 4], vec![0, 5]]).enumerate()
     {
         let message = std::fs::read(folder.path().join(format!("call{number}"))).unwrap();
         let (_, head) = SafeTensors::read_metadata(&message).unwrap();
@@ -58,7 +59,10 @@ fn conditions_are_sent_once_and_exactly() {
         let bytes = |name: &str, of: fn(&FrameConditions) -> &Vec<[u8; 3]>| {
             let tensor = tensors.tensor(name).unwrap();
             assert_eq!((tensor.dtype(), tensor.shape()), (Dtype::U8, &[new.len(), VIEWS, 16, 24, 3][..]));
-            assert_eq!(tensor.data(), new.iter().map(|i| of(&all[*i]).as_flattened()).collect::<Vec<_>>().concat());
+            assert_eq!(
+                tensor.data(),
+                new.iter().map(|i| of(&all[*i]).as_flattened()).collect::<Vec<_>>().concat()
+            );
         };
         bytes("color", |frame| &frame.color);
         bytes("boxes", |frame| &frame.boxes);
@@ -81,7 +85,10 @@ fn conditions_are_sent_once_and_exactly() {
                 }
             }
         }
-        assert_eq!(tensor(&tensors, "action").1, new.iter().flat_map(|i| all[*i].action).collect::<Vec<f32>>());
+        assert_eq!(
+            tensor(&tensors, "action").1,
+            new.iter().flat_map(|i| all[*i].action).collect::<Vec<f32>>()
+        );
         let cameras = new.iter().flat_map(|i| all[*i].cameras.as_flattened().iter().copied());
         assert_eq!(tensor(&tensors, "cameras").1, cameras.collect::<Vec<f32>>());
     }
