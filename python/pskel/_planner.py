@@ -105,6 +105,17 @@ def _object(text: str) -> Message:
     return value
 
 
+def seconds(text: str) -> float:
+    """Convert the value of an option; raises ``argparse.ArgumentTypeError`` unless it is a number above 0."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not 0.0 < value < math.inf:
+        raise argparse.ArgumentTypeError(f"expected seconds above 0, found {text}")
+    return value
+
+
 def create(name: str, arguments: Message) -> Any:
     """Return a new object of the class ``MODULE:CLASS``. Raises ``PlannerError`` if there is no such class."""
     module, _, attribute = name.partition(":")

@@ -13,6 +13,7 @@ mod command;
 mod error;
 mod export;
 mod fill;
+mod generator;
 mod keywords;
 mod log;
 mod maps;
@@ -46,6 +47,8 @@ mod _pskel {
     use crate::export::Export;
     #[pymodule_export]
     use crate::fill::fill_holes;
+    #[pymodule_export]
+    use crate::generator::Generator;
     #[pymodule_export]
     use crate::log::{Log, Scenes};
     #[pymodule_export]

@@ -163,6 +163,20 @@ impl Drop for Renderer {
 }
 
 impl Renderer {
+    /// Returns the name of the log whose actors are rendered.
+    pub(crate) fn log(&self) -> &str {
+        &self.log
+    }
+
+    /// Calls a function with the renderer, after calls of other threads; it ends a series of frames.
+    pub(crate) fn use_now<T>(&self, call: impl FnOnce(&mut Borrowing<'_>) -> PyResult<T>) -> PyResult<T> {
+        self.with(None, |renderer| {
+            renderer.discard().map_err(raise)?;
+            call(renderer)
+        })
+        .map(|(value, _)| value)
+    }
+
     fn check_process(&self) -> PyResult<()> {
         let here = std::process::id();
         if here == self.process {

@@ -7,8 +7,8 @@ use point_skeleton::geometry::ImageSize;
 use point_skeleton::memory::{MemoryError, Need, reserve};
 use pskel_generate::{
     AnyDenoiser, Codec, Conditioner, DenoiserError, DenoiserRig, DroppedConditions, GenerateError,
-    GenerateOptions, GenerationScene, Guidance, ProcessDenoiser, Recipe, SamplerOptions, Session,
-    SessionError, SessionParts, Strategy,
+    GenerateOptions, GenerationScene, Guidance, ImageProcessError, ProcessDenoiser, Recipe, SamplerOptions,
+    Session, SessionError, SessionParts, Strategy,
 };
 use pskel_sim::peer::{PeerAddress, PeerError, PeerSpec};
 use serde::Serialize;
@@ -136,6 +136,9 @@ pub enum OpenNetworkError {
     /// The process does not answer, or its answer is invalid.
     #[error(transparent)]
     Process(#[from] DenoiserError),
+    /// The same of a process that makes whole images.
+    #[error(transparent)]
+    Images(#[from] ImageProcessError),
 }
 
 impl OpenNetworkError {
@@ -246,6 +249,16 @@ impl OpenedNetwork {
         self.options.window
     }
 
+    /// Returns how many of the next planning steps it takes as forecasts, at most.
+    pub fn forecasts(&self) -> usize {
+        self.options.forecasts()
+    }
+
+    /// Returns the size of the images.
+    pub fn size(&self) -> ImageSize {
+        self.size
+    }
+
     /// Returns network and options.
     pub fn report(&self) -> GeneratorReport {
         GeneratorReport {
@@ -284,7 +297,7 @@ impl OpenedNetwork {
     /// # Errors
     /// Fails if codec and network differ in latent shape.
     pub fn session<'a>(self, scene: &GenerationScene<'a>) -> Result<Session<'a>, SessionError> {
-        let conditioner = Conditioner::new(scene.log, scene.map.clone(), &self.recipe, &scene.prompt)
+        let conditioner = Conditioner::new(&self.recipe, scene.has_map, &scene.prompt)
             .with_captions(scene.captions.clone())
             .without(self.without);
         let parts = SessionParts {

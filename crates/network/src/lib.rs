@@ -19,6 +19,7 @@ mod latents;
 mod levels;
 mod model;
 mod network;
+mod opened;
 #[cfg(test)]
 mod parity;
 mod statistics;
@@ -32,6 +33,7 @@ pub use generator::{
 };
 pub use kernels::Attend;
 pub use network::Network;
+pub use opened::{GeneratorName, OpenedGenerator};
 pub use statistics::Statistics;
 pub use weights::config::NetworkConfig;
 pub use weights::{Provenance, Weights};

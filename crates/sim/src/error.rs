@@ -46,6 +46,14 @@ pub enum SimError {
         /// Name of the log.
         log: String,
     },
+    /// A state of another simulation comes after a later one.
+    #[error("expected a state after {last_us} us, found one at {found_us}")]
+    Earlier {
+        /// Time of the last state, absolute microseconds.
+        last_us: i64,
+        /// Time of the state, absolute microseconds.
+        found_us: i64,
+    },
     /// The start lies outside the log.
     #[error("expected a start from {first_us} to {last_us} us, found {found_us}: {}", printable(log))]
     Start {

@@ -47,7 +47,8 @@ pub use saved::SavedState;
 pub use scenario::{Scenario, scene_state};
 pub use simulation::{EndReason, Simulation, StepOutcome};
 pub use state::{
-    Committed, EGO_SIZE_M, EgoState, Forecast, Instant, REAR_AXLE_TO_CENTER_M, SimActor, WHEELBASE_M,
+    Committed, EGO_SIZE_M, EgoState, Forecast, Instant, OtherSimulation, REAR_AXLE_TO_CENTER_M, SimActor,
+    WHEELBASE_M,
 };
 pub use wheel::{Controls, Wheel};
 

@@ -1,8 +1,9 @@
-use std::collections::BTreeSet;
-
 use glam::{DVec2, DVec3};
-use point_skeleton::dataset::{Recording, TrackBox, TrafficLight};
+use point_skeleton::dataset::{TrackBox, TrafficLight};
 use point_skeleton::geometry::{Cuboid, Pose};
+use point_skeleton::scene::SceneState;
+
+use super::SimError;
 
 /// Simulated past: a committed state, or a value derived from committed states.
 ///
@@ -15,7 +16,7 @@ use point_skeleton::geometry::{Cuboid, Pose};
 /// }
 /// ```
 ///
-/// Nor can code outside the simulation create one:
+/// Nor can code outside a simulation create one:
 ///
 /// ```compile_fail,E0624
 /// use pskel_sim::{Committed, Forecast, Instant};
@@ -89,17 +90,6 @@ pub(super) fn ego_cuboid(pose: &Pose) -> Cuboid {
     Cuboid { pose, size: EGO_SIZE_M }
 }
 
-impl Instant {
-    /// Returns the instant without the actors of some tracks of its log.
-    #[must_use]
-    pub fn hiding(&self, log: &Recording, tracks: &BTreeSet<String>) -> Self {
-        let is_shown =
-            |actor: &&SimActor| log.tracks.get(actor.track).is_none_or(|track| !tracks.contains(&track.id));
-        let actors = self.actors.iter().filter(is_shown).copied().collect();
-        Self { step: self.step, t_us: self.t_us, ego: self.ego, actors, lights: self.lights.clone() }
-    }
-}
-
 impl EgoState {
     /// Returns the global yaw, radians.
     pub fn heading_rad(&self) -> f64 {
@@ -126,6 +116,26 @@ impl SimActor {
     /// Returns the bounding box in the log's format.
     pub fn track_box(&self) -> TrackBox {
         TrackBox { track: self.track, cuboid: self.cuboid }
+    }
+}
+
+/// Simulation of another program, which commits its states one after another.
+#[derive(Clone, Debug, Default)]
+pub struct OtherSimulation {
+    last_us: Option<i64>,
+}
+
+impl OtherSimulation {
+    /// Marks the next state as committed.
+    ///
+    /// # Errors
+    /// Fails if its time is not after that of the last one.
+    pub fn commit(&mut self, state: SceneState) -> Result<Committed<SceneState>, SimError> {
+        if let Some(last_us) = self.last_us.filter(|last_us| state.t_us <= *last_us) {
+            return Err(SimError::Earlier { last_us, found_us: state.t_us });
+        }
+        self.last_us = Some(state.t_us);
+        Ok(Committed(state))
     }
 }
 

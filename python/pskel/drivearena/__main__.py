@@ -24,7 +24,7 @@ def parser() -> argparse.ArgumentParser:
     agent = commands.add_parser("agent", help="a driving agent as a planner: --ego external --planner ..", allow_abbrev=False)
     for command in (dreamer, agent):
         command.add_argument("--url", required=True, help="address of the server, http://HOST:PORT")
-        command.add_argument("--timeout", type=_seconds, default=60.0, metavar="S", help="seconds for each answer (default 60)")
+        command.add_argument("--timeout", type=_planner.seconds, default=60.0, metavar="S", help="seconds for each answer (default 60)")
     dreamer.add_argument("--listen", metavar="ADDRESS", help="unix:PATH or tcp:HOST:PORT in place of standard input and output")
     map_help = "map expansion of nuScenes: lines and drivable area (default: none are sent)"
     dreamer.add_argument("--map", type=Path, metavar="F.json", help=map_help)
@@ -57,16 +57,6 @@ def _dream(given: argparse.Namespace, server: Server) -> int:
     location = given.location or (given.map.stem if given.map else "")
     images.serve(lambda hello: Dreamer(server, hello, road_map, location, given.description), given.listen)
     return 0
-
-
-def _seconds(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = 0.0
-    if not 0.0 < value < 1e6:
-        raise argparse.ArgumentTypeError(f"expected seconds above 0, found {text}")
-    return value
 
 
 if __name__ == "__main__":

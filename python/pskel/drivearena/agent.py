@@ -7,13 +7,12 @@ import io
 import json
 import math
 import time
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from pskel import _navsim, _planner
+from pskel import _nuscenes
 from pskel._planner import Message, PlannerError
 
 from . import CAMERAS, HZ, SIZE
@@ -21,19 +20,9 @@ from .server import Server
 
 __all__ = ["Agent"]
 
-#: Numbers of commands.
-COMMANDS = {"right": 0, "left": 1, "straight": 2, "unknown": 2}
 GRAVITY = 9.8
-#: Time between the points of a plan, seconds.
-INTERVAL_S = 0.5
-#: Largest number of points of a plan.
-MAX_POINTS = 100
-#: Points nearer than this to the one before keep its heading, meters.
-STILL_M = 0.1
 #: Rows of an image of 900x1600 at a quarter of its size; the first one is cut off, as in the training of the agents.
 ROWS = 225
-#: Largest deviation from the aspect of 900x1600.
-ASPECT = 0.05
 _POLL_S = 0.2
 
 
@@ -56,13 +45,13 @@ class Agent:
         if self._output() is not None:
             expected = "expected an agent without plans before it is asked, found one"
             raise PlannerError(f"{expected}: does a world dreamer send it images (--agent_port)?")
-        self._call("post", "/driver-api/", state_of(see, self._start, stacked(see["files"], self._images)))
+        self._call("post", "/driver-api/", state_of(see, self._start, stacked(see, self._images)))
         end_s = time.monotonic() + self._timeout_s
         while (output := self._output()) is None:
             if time.monotonic() > end_s:
                 raise PlannerError(f"expected a plan of the agent within {self._timeout_s:g} s, found none")
             time.sleep(_POLL_S)
-        return waypoints_of(points_of(output), ego)
+        return _nuscenes.waypoints_of(points_of(output), ego)
 
     def _output(self) -> bytes | None:
         answer = self._call("get", "/driver-get/")
@@ -84,37 +73,25 @@ def state_of(see: Message, start: tuple[int, float, float], image: bytes) -> Mes
         "timestamp": (see["t_us"] - start[0]) / 1e6,
         "img_byte_array": base64.b64encode(image).decode(),
         "ego_pose": [[cos, -sin, 0.0, x], [sin, cos, 0.0, y], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]],
-        "command": COMMANDS[see["driving_command"]],
+        "command": _nuscenes.COMMANDS[see["driving_command"]],
         "accel": [ego["a"], ego["v"] * ego["yaw_rate"], GRAVITY],
         "rotation_rate": [0.0, 0.0, ego["yaw_rate"]],
         "vel": [ego["v"], 0.0, 0.0],
     }
 
 
-def stacked(files: list[str], kind: str) -> bytes:
-    """Return the images of all cameras, one below the other, as a PNG."""
+def stacked(see: Message, kind: str) -> bytes:
+    """Return the images of all cameras, one below the other, as a PNG.
+
+    Images of 224x400 are used as they are; others of the aspect of 900x1600 are resized to 225x400 and lose their first row.
+    """
     from PIL import Image
 
-    step = next((Path(file).parent for file in files if Path(file).name == "meta.json"), None)
-    if step is None:
-        raise PlannerError("expected images of the cameras, found none: simulate without --dry")
-    images = [resized(_navsim.read_image(_navsim.image_path(step, name, kind)), name) for name in CAMERAS]
+    step, (height, width) = _nuscenes.step_of(see), SIZE
+    images = [_nuscenes.image_of(step, name, kind, (ROWS, width), SIZE)[-height:] for name in CAMERAS]
     file = io.BytesIO()
     Image.fromarray(np.concatenate(images)).save(file, "PNG")
     return file.getvalue()
-
-
-def resized(image: npt.NDArray[np.uint8], name: str) -> npt.NDArray[np.uint8]:
-    """Return an image of 224x400; others are resized to 225x400 and lose their first row. Raises ``PlannerError`` for other aspects."""
-    from PIL import Image
-
-    height, width = image.shape[:2]
-    if (height, width) == SIZE:
-        return image
-    if abs(width / height * 900 / 1600 - 1) > ASPECT:
-        raise PlannerError(f"expected images of 224x400, or of the aspect of 900x1600, found {height}x{width} of {name}")
-    small = np.asarray(Image.fromarray(image).resize((SIZE[1], ROWS), Image.Resampling.BICUBIC))
-    return small[ROWS - SIZE[0] :]
 
 
 def points_of(output: bytes) -> npt.NDArray[np.float64]:
@@ -129,24 +106,4 @@ def points_of(output: bytes) -> npt.NDArray[np.float64]:
         points = np.array(results[0]["planning_traj"], np.float64)
     except (ValueError, TypeError, KeyError, IndexError, RecursionError):
         raise PlannerError(f"expected an answer of UniAD or VAD with planning_traj, found {output[:200]!r}") from None
-    points = points[0] if points.ndim == 3 and len(points) == 1 else points
-    if points.ndim != 2 or points.shape[1] != 2 or not 1 <= len(points) <= MAX_POINTS or not np.isfinite(points).all():
-        shown = "numbers that are not finite" if points.size and not np.isfinite(points).all() else list(points.shape)
-        raise PlannerError(f"expected planning_traj of 1 to {MAX_POINTS} finite points [N, 2], found {shown}")
-    return points
-
-
-def waypoints_of(points: npt.NDArray[np.float64], ego: Message) -> list[Message]:
-    """Return points of an agent as waypoints in the global frame; headings are those of the way from point to point."""
-    cos, sin = math.cos(ego["heading"]), math.sin(ego["heading"])
-    x, y, heading, known = ego["x"], ego["y"], ego["heading"], []
-    for index, (right, forward) in enumerate(points.tolist()):
-        next_x = ego["x"] + cos * forward + sin * right
-        next_y = ego["y"] + sin * forward - cos * right
-        if math.hypot(next_x - x, next_y - y) >= STILL_M:
-            turn = math.remainder(math.atan2(next_y - y, next_x - x) - heading, math.tau)
-            # Whoever drives back does not turn around.
-            heading += turn if abs(turn) <= math.pi / 2 else math.remainder(turn + math.pi, math.tau)
-        x, y = next_x, next_y
-        known.append(((index + 1) * INTERVAL_S, x, y, heading))
-    return _planner.waypoints((ego["x"], ego["y"]), known)
+    return _nuscenes.points_of(points[0] if points.ndim == 3 and len(points) == 1 else points, "planning_traj")

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from pskel._nuscenes import COMMANDS, LIDAR_FROM_EGO
 from pskel.images import Hello, ImageGenerator, ImageRequest, RequestActor
 
 from . import CAMERAS, HZ, SIZE
@@ -32,10 +33,6 @@ WORDS = {
 }  # fmt: skip
 #: Labels of other categories by the class of an actor; other actors are not sent.
 CLASSES = {"motor_vehicle": "car", "pedestrian": "pedestrian", "cycle": "bicycle"}
-#: The LiDAR of nuScenes on the ego: forward and up, meters. The dreamer was trained with its frame: right, forward, up.
-LIDAR_M = (0.94, 1.84)
-LIDAR_FROM_EGO = np.array([[0.0, -1.0, 0.0, 0.0], [1.0, 0.0, 0.0, -LIDAR_M[0]], [0.0, 0.0, 1.0, -LIDAR_M[1]], [0.0, 0.0, 0.0, 1.0]])
-_FORWARD = 2  # number of the command, which the dreamer hands to an agent of its own
 _GRAVITY = 9.8
 
 
@@ -92,7 +89,7 @@ class Dreamer(ImageGenerator):
             "gt_lines_instance": lines[1],
             "relative_pose": (np.linalg.inv(pose) @ last).tolist(),
             "drivable_mask": drivable.astype(int).tolist(),
-            "agent_command": _FORWARD,
+            "agent_command": COMMANDS["straight"],  # for an agent that the dreamer asks itself
         }
 
 

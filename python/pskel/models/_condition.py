@@ -103,11 +103,15 @@ class FrameCondition:
         for name, array, shape in (("action", motion, (3,)), ("cameras", poses, (*views, 16))):
             if array.shape != shape:
                 raise ValueError(f"expected {name} of {list(shape)}, found {list(array.shape)}")
-        texts = prompt if isinstance(prompt, str) else tuple(prompt)
-        if not isinstance(texts, str) and len(texts) != len(layout_maps):
-            raise ValueError(f"expected a prompt, or one for each of {len(layout_maps)} cameras, found {len(texts)}")
         maps = ConditionMaps(point_maps[:, :POINT_CHANNELS]), ConditionMaps(layout_maps)
-        return cls(*maps, motion, poses, texts, is_reference)
+        return cls(*maps, motion, poses).told(prompt, is_reference)
+
+    def told(self, prompt: str | Sequence[str], is_reference: bool) -> FrameCondition:
+        """Return the condition with other texts; raises ``ValueError`` for other than one prompt or one per camera."""
+        texts = prompt if isinstance(prompt, str) else tuple(prompt)
+        if not isinstance(texts, str) and len(texts) != len(self.cameras):
+            raise ValueError(f"expected a prompt, or one for each of {len(self.cameras)} cameras, found {len(texts)}")
+        return replace(self, prompt=texts, is_reference=is_reference)
 
     @property
     def prompts(self) -> tuple[str, ...]:

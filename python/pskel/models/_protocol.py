@@ -14,12 +14,11 @@ from .._messages import Message
 from .._texts import is_size, joined, listed, number, pair, text, whole
 from ._condition import LAYOUT_CHANNELS, FrameCondition
 from ._rig import Rig
+from ._sent import TYPES, SentFrames
 
 __all__ = ["Hello", "Sampling", "WindowDenoiser", "serve"]
 
 _PROTOCOL = {"protocol": "pskel-denoiser", "version": "1"}
-_TYPES = ("F32",)
-_TENSORS = ("latents", "timesteps", "sigmas", "points", "layout", "action", "cameras")
 _Array = np.ndarray[Any, np.dtype[np.float32]]
 
 
@@ -101,25 +100,28 @@ def serve(
     ``create`` makes the denoiser, after the hello. Raises ``ValueError`` for messages and requests that the network
     cannot answer.
     """
-    first = messages.read(source, _TYPES)
+    first = messages.read(source, TYPES)
     if first is None:
         return
     hello = Hello.parse(first.texts, expected)
     denoiser = create(hello)
     shape = denoiser.latent_shape(hello.size)
-    answer = {"latent_shape": joined(shape), "dtype": "F32", "image_size": joined(hello.size), "guidance": "true"}
+    sent = SentFrames(shape[0], hello.size)
+    answer = {"latent_shape": joined(shape), "dtype": "F32", "image_size": joined(hello.size), "guidance": "true", "frames": "true"}
     messages.write(out, {**_PROTOCOL, **answer}, {})
-    while (message := messages.read(source, _TYPES)) is not None:
-        messages.write(out, *_answered(denoiser, hello, message))
+    while (message := messages.read(source, TYPES)) is not None:
+        messages.write(out, *_answered(denoiser, hello, sent, message))
 
 
-def _answered(denoiser: WindowDenoiser, hello: Hello, message: Message) -> tuple[dict[str, str], dict[str, _Array]]:
+def _answered(
+    denoiser: WindowDenoiser, hello: Hello, sent: SentFrames, message: Message
+) -> tuple[dict[str, str], dict[str, _Array]]:
     """Texts and tensors of the answer to a request."""
     texts, tensors = message
     shape = denoiser.latent_shape(hello.size)
     ask = texts.get("ask")
     if ask == "predict":
-        conditions = _conditions(hello, shape, message)
+        conditions = _conditions(hello, shape, sent, message)
         call = {name: texts[name] for name in ("call",) if name in texts}
         if "dropped" in texts:
             dropped = listed(texts, "dropped", "the call")
@@ -137,20 +139,10 @@ def _answered(denoiser: WindowDenoiser, hello: Hello, message: Message) -> tuple
     raise ValueError(f"expected ask of predict, encode or decode, found {ask}")
 
 
-def _conditions(hello: Hello, shape: tuple[int, ...], message: Message) -> list[FrameCondition]:
+def _conditions(hello: Hello, shape: tuple[int, ...], sent: SentFrames, message: Message) -> list[FrameCondition]:
     texts, tensors = message
     frames, views = hello.window, shape[0]
-    leading = frames, views
-    shapes = (
-        (frames, *shape),
-        (frames,),
-        (frames,),
-        (*leading, 20, *hello.size),
-        (*leading, LAYOUT_CHANNELS, *hello.size),
-        (frames, 3),
-        (*leading, 16),
-    )
-    for name, expected in zip(_TENSORS, shapes):
+    for name, expected in (("latents", (frames, *shape)), ("timesteps", (frames,)), ("sigmas", (frames,))):
         _expect_shape(tensors, name, expected)
     prompts = listed(texts, "prompts", "the call")
     if len(prompts) != frames or not all(_is_prompt(prompt, views) for prompt in prompts):
@@ -161,8 +153,18 @@ def _conditions(hello: Hello, shape: tuple[int, ...], message: Message) -> list[
         raise ValueError(
             f"expected references as a list of {frames} booleans in the call, found {texts['references'][:200]}"
         )
-    arrays = (tensors[name] for name in ("points", "layout", "action", "cameras"))
-    return [FrameCondition.create(*frame) for frame in zip(*arrays, prompts, references)]
+    of_frames = sent.window(texts, tensors, frames) if "frames" in texts else _whole(hello, views, tensors)
+    return [frame.told(prompt, reference) for frame, prompt, reference in zip(of_frames, prompts, references)]
+
+
+def _whole(hello: Hello, views: int, tensors: Mapping[str, _Array]) -> list[FrameCondition]:
+    """Conditions of a call that has all of them."""
+    leading = hello.window, views
+    maps = {"points": (*leading, 20, *hello.size), "layout": (*leading, LAYOUT_CHANNELS, *hello.size)}
+    shapes = {**maps, "action": (hello.window, 3), "cameras": (*leading, 16)}
+    for name, expected in shapes.items():
+        _expect_shape(tensors, name, expected)
+    return [FrameCondition.create(*arrays) for arrays in zip(*(tensors[name] for name in shapes))]
 
 
 def _is_prompt(value: Any, views: int) -> bool:

@@ -18,8 +18,8 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from drivearena_fakes import Fake, png, serving
 from images_client import Client
+from pskel._nuscenes import waypoints_of
 from pskel.drivearena import CAMERAS
-from pskel.drivearena.agent import waypoints_of
 from pskel.drivearena.road_map import RoadMap
 
 COMMAND = [sys.executable, "-m", "pskel.drivearena"]

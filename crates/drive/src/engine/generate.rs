@@ -12,7 +12,7 @@ use std::sync::mpsc::{Receiver, Sender};
 use std::time::Instant as Clock;
 
 use point_skeleton::error::with_causes;
-use point_skeleton::scene::SubstituteOptions;
+use point_skeleton::scene::{SceneState, SubstituteOptions};
 use point_skeleton::{RenderOptions, Renderer};
 use pskel_sim::rollout::{AnyError, ImageGenerator};
 use pskel_sim::{Committed, Forecast, Instant, Simulation};
@@ -27,8 +27,9 @@ pub(super) struct Job {
     session: u64,
     /// Number of frames before this one.
     frame: usize,
-    now: Committed<Instant>,
-    expected: Vec<Forecast<Instant>>,
+    step: usize,
+    now: Committed<SceneState>,
+    expected: Vec<Forecast<SceneState>>,
     substitutes: SubstituteOptions,
     actors_follow_log: bool,
 }
@@ -126,7 +127,7 @@ impl<'a> Generation<'a> {
         &mut self,
         simulation: &Simulation<'_>,
         substitutes: impl FnOnce() -> SubstituteOptions,
-        hidden: impl Fn(&Instant) -> Instant,
+        shown: impl Fn(&Instant) -> SceneState,
         actors_follow_log: bool,
     ) {
         let step = simulation.committed().get().step;
@@ -142,8 +143,9 @@ impl<'a> Generation<'a> {
         let job = Job {
             session: self.session,
             frame: self.asked,
-            now: simulation.committed().map(&hidden),
-            expected: expected.map(|next| next.map(|next| hidden(&next))).collect(),
+            step,
+            now: simulation.committed().map(&shown),
+            expected: expected.map(|next| next.map(|next| shown(&next))).collect(),
             substitutes: substitutes(),
             actors_follow_log,
         };
@@ -249,6 +251,5 @@ fn generate<'a>(
     let now = job.now.as_ref();
     let images = opened.generate(job.frame, now, &job.expected, renderer).map_err(failed)?;
     let images = images.ok_or_else(|| format!("frame {} has no images", job.frame))?;
-    let Instant { step, t_us, .. } = *job.now.get();
-    Ok(Generated { step, t_us, images, seconds: start.elapsed().as_secs_f64() })
+    Ok(Generated { step: job.step, t_us: job.now.get().t_us, images, seconds: start.elapsed().as_secs_f64() })
 }

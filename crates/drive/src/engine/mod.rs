@@ -387,9 +387,9 @@ impl<'a> Engine<'a> {
         let (log, hide) = (self.inputs.log.recording(), &self.view.hide);
         let Stage::Live(live) = &self.stage else { return };
         let substitutes = || self.view.substitutes(self.options.templates.as_deref());
-        let hidden = |instant: &pskel_sim::Instant| instant.hiding(log, hide);
+        let shown = |instant: &pskel_sim::Instant| scene_state(log, instant, self.map.clone()).hiding(hide);
         let follow_log = self.actors_follow_log(live);
-        self.generation.ask(live.simulation(), substitutes, hidden, follow_log);
+        self.generation.ask(live.simulation(), substitutes, shown, follow_log);
     }
 
     /// Returns whether the log may give the wheel away now.

@@ -5,10 +5,11 @@ use std::time::Duration;
 
 use image::{Rgb, RgbImage};
 use point_skeleton::Renderer;
+use point_skeleton::scene::SceneState;
 use pskel_drive::LiveGenerator;
 use pskel_sim::report::images::StepImages;
 use pskel_sim::rollout::{AnyError, GenerationTimes, ImageGenerator};
-use pskel_sim::{Committed, Forecast, Instant};
+use pskel_sim::{Committed, Forecast};
 use serde_json::{Value, json};
 
 use crate::client::{Client, Server};
@@ -33,21 +34,30 @@ impl ImageGenerator for Painter {
     fn generate(
         &mut self,
         frame: usize,
-        now: Committed<&Instant>,
-        expected: &[Forecast<Instant>],
+        now: Committed<&SceneState>,
+        expected: &[Forecast<SceneState>],
         _: &mut Renderer<'_>,
     ) -> Result<Option<StepImages>, AnyError> {
         std::thread::sleep(self.cost);
-        let Instant { step, actors, .. } = now.get();
-        let step = *step;
+        let SceneState { name, actors, .. } = now.get();
+        let step: usize = name.parse()?;
         if self.fails_at.is_some_and(|at| step >= at) {
             return Err("the brush is lost".into());
         }
-        let ahead = expected.iter().map(|next| next.get().step).collect();
+        let ahead = expected.iter().map(|next| next.get().name.parse().unwrap()).collect();
         self.seen.lock().unwrap().push((step, ahead));
         let color = Rgb([step as u8, expected.len() as u8, actors.len() as u8]);
         let images = vec![RgbImage::from_pixel(8, 4, color); 6];
         Ok(Some(StepImages { is_reference: frame < WINDOW - 1, images, truth: None, rows: None }))
+    }
+
+    fn add_reference(
+        &mut self,
+        _: Committed<&SceneState>,
+        _: Vec<RgbImage>,
+        _: &mut Renderer<'_>,
+    ) -> Result<(), AnyError> {
+        Ok(())
     }
 
     fn times(&self) -> GenerationTimes {
@@ -61,7 +71,7 @@ impl ImageGenerator for Painter {
     fn resume(
         &mut self,
         _: usize,
-        _: &[Committed<Instant>],
+        _: &[Committed<SceneState>],
         _: Option<&[u8]>,
         _: &mut Renderer<'_>,
     ) -> Result<(), AnyError> {

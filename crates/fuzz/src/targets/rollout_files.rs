@@ -10,6 +10,7 @@ use point_skeleton::dataset::{LogLocator, LogReader, nuscenes};
 use point_skeleton::files::{Inputs, OutputFile};
 use point_skeleton::geometry::ImageSize;
 use point_skeleton::raster::{MapKind, MapSet, RasterizerDesc, RasterizerKind};
+use point_skeleton::scene::SceneState;
 use point_skeleton::skeleton::Skeleton;
 use point_skeleton::{RenderOptions, Renderer};
 use pskel_eval::protocol::{Method, PartRollouts, Protocol, ProtocolReport, ScoreOptions, check_settings};
@@ -20,7 +21,7 @@ use pskel_sim::rollout::{
     AnyError, GenerationTimes, ImageGenerator, InputPaths, MCAP, ResumeAfter, Rollout, RolloutError,
     RolloutInputs, RolloutOptions,
 };
-use pskel_sim::{Committed, Forecast, Instant, Rates, Scenario, SimOptions};
+use pskel_sim::{Committed, Forecast, Rates, Scenario, SimOptions};
 use serde_json::{Value, json};
 
 use super::{LARGE, edit_seeds, seed};
@@ -66,8 +67,8 @@ impl ImageGenerator for Painter {
     fn generate(
         &mut self,
         _: usize,
-        _: Committed<&Instant>,
-        _: &[Forecast<Instant>],
+        _: Committed<&SceneState>,
+        _: &[Forecast<SceneState>],
         _: &mut Renderer<'_>,
     ) -> Result<Option<StepImages>, AnyError> {
         self.frames += 1;
@@ -78,6 +79,15 @@ impl ImageGenerator for Painter {
             truth: Some(image(50)),
             rows: None,
         }))
+    }
+
+    fn add_reference(
+        &mut self,
+        _: Committed<&SceneState>,
+        _: Vec<RgbImage>,
+        _: &mut Renderer<'_>,
+    ) -> Result<(), AnyError> {
+        Ok(())
     }
 
     fn times(&self) -> GenerationTimes {
@@ -91,7 +101,7 @@ impl ImageGenerator for Painter {
     fn resume(
         &mut self,
         frames: usize,
-        _: &[Committed<Instant>],
+        _: &[Committed<SceneState>],
         _: Option<&[u8]>,
         _: &mut Renderer<'_>,
     ) -> Result<(), AnyError> {

@@ -1,18 +1,15 @@
 use std::sync::Arc;
 
 use point_skeleton::conditions::{ConditionOptions, ConditionSet, FrameCaptions, MapKind, Prompts};
-use point_skeleton::dataset::Recording;
 use point_skeleton::geometry::Pose;
-use point_skeleton::scene::{SceneMap, SceneState};
+use point_skeleton::scene::SceneState;
 use point_skeleton::{MapOptions, Renderer};
-use pskel_sim::{Committed, Forecast, Instant, scene_state};
+use pskel_sim::{Committed, Forecast};
 
 use crate::{Condition, DenoiserError, DroppedConditions, FrameConditions, Recipe};
 
-/// Renders the network input of a simulation, from committed and forecast instants.
-pub struct Conditioner<'a> {
-    log: &'a Recording,
-    map: Option<Arc<SceneMap>>,
+/// Renders the network input of a simulation, from committed and forecast states.
+pub struct Conditioner {
     maps: MapOptions,
     prompt: Prompts,
     /// Captions by time, in place of the prompt.
@@ -21,7 +18,7 @@ pub struct Conditioner<'a> {
     dropped: DroppedConditions,
 }
 
-/// Rendered conditions of one instant.
+/// Rendered conditions of one state.
 #[derive(Clone, Debug)]
 pub struct RenderedConditions {
     /// Scene state: poses of the ego, the cameras and the actors.
@@ -43,12 +40,12 @@ pub enum ConditionerError {
     Maps(#[from] DenoiserError),
 }
 
-impl<'a> Conditioner<'a> {
-    /// Creates a conditioner for a log and its HD map.
-    pub fn new(log: &'a Recording, map: Option<Arc<SceneMap>>, recipe: &Recipe, prompt: &str) -> Self {
-        let maps = MapOptions::new(recipe.options(map.is_some()), recipe.selection());
+impl Conditioner {
+    /// Creates a conditioner for states with or without an HD map.
+    pub fn new(recipe: &Recipe, has_map: bool, prompt: &str) -> Self {
+        let maps = MapOptions::new(recipe.options(has_map), recipe.selection());
         let (prompt, dropped) = (Prompts::Frame(prompt.to_owned()), DroppedConditions::default());
-        Self { log, map, maps, prompt, captions: None, dropped }
+        Self { maps, prompt, captions: None, dropped }
     }
 
     /// Sets captions by time, in place of the prompt.
@@ -78,49 +75,47 @@ impl<'a> Conditioner<'a> {
         &self.maps.conditions
     }
 
-    /// Renders a committed instant; `before` is the ego pose one frame earlier.
+    /// Renders a committed state; `before` is the ego pose one frame earlier.
     ///
     /// # Errors
     /// Returns an error if the device fails, or if the cameras differ in size.
     pub fn committed(
         &self,
-        instant: Committed<&Instant>,
+        state: Committed<&SceneState>,
         before: Option<Pose>,
         renderer: &mut Renderer<'_>,
     ) -> Result<Committed<RenderedConditions>, ConditionerError> {
-        instant.try_map(|instant| self.draw(instant, before, renderer))
+        state.try_map(|state| self.draw(state, before, renderer))
     }
 
-    /// Renders the forecasts of the next planning steps after a committed instant.
+    /// Renders the forecasts of the next planning steps after a committed state.
     ///
     /// # Errors
     /// Returns the errors of [`Conditioner::committed`].
     pub fn forecasts(
         &self,
-        now: Committed<&Instant>,
-        expected: &[Forecast<Instant>],
+        now: Committed<&SceneState>,
+        expected: &[Forecast<SceneState>],
         renderer: &mut Renderer<'_>,
     ) -> Result<Vec<Forecast<FrameConditions>>, ConditionerError> {
-        let mut before = now.get().ego.pose;
+        let mut before = now.get().global_from_ego;
         let mut drawn = Vec::new();
-        for instant in expected.iter().map(Forecast::get) {
-            drawn.push(Forecast::new(self.draw(instant, Some(before), renderer)?.conditions));
-            before = instant.ego.pose;
+        for state in expected.iter().map(Forecast::get) {
+            drawn.push(Forecast::new(self.draw(state, Some(before), renderer)?.conditions));
+            before = state.global_from_ego;
         }
         Ok(drawn)
     }
 
     fn draw(
         &self,
-        instant: &Instant,
+        state: &SceneState,
         before: Option<Pose>,
         renderer: &mut Renderer<'_>,
     ) -> Result<RenderedConditions, ConditionerError> {
-        let state = scene_state(self.log, instant, self.map.clone());
-        let set = renderer.render_with(&state, &self.maps)?.set;
-        let prompts = self.captions.as_ref().map_or(&self.prompt, |captions| captions.at(instant.t_us));
-        let conditions =
-            FrameConditions::new(&set, &state, before, prompts, self.maps.conditions.depth_bins)?;
-        Ok(RenderedConditions { state, set, conditions: conditions.without(self.dropped) })
+        let set = renderer.render_with(state, &self.maps)?.set;
+        let prompts = self.captions.as_ref().map_or(&self.prompt, |captions| captions.at(state.t_us));
+        let conditions = FrameConditions::new(&set, state, before, prompts, self.maps.conditions.depth_bins)?;
+        Ok(RenderedConditions { state: state.clone(), set, conditions: conditions.without(self.dropped) })
     }
 }

@@ -7,7 +7,7 @@ use point_skeleton::conditions::{
 };
 use point_skeleton::geometry::{ImageSize, Pose};
 use point_skeleton::scene::SceneState;
-use rand_seeder::SipHasher;
+use twox_hash::XxHash3_64;
 
 use crate::{Condition, DenoiserError, DroppedConditions};
 
@@ -149,7 +149,7 @@ impl FrameConditions {
 
     /// Returns a hash of everything but the texts.
     pub fn fingerprint(&self) -> u64 {
-        let mut hasher = SipHasher::new();
+        let mut hasher = XxHash3_64::new();
         for rgb in [&self.color, &self.boxes, &self.map] {
             hasher.write(rgb.as_flattened());
         }

@@ -1,7 +1,11 @@
+use std::path::Path;
+
 use point_skeleton::conditions::{
     ColorFilter, ConditionOptions, DepthBins, DepthEmbedding, LayoutLayers, LayoutStyle, LineWidth, MapKind,
     MapSet,
 };
+use point_skeleton::error::FileError;
+use point_skeleton::files::json;
 use point_skeleton::geometry::ImageSize;
 use point_skeleton::raster::{SplatSchedule, SplatStep};
 use point_skeleton::scene::{SelectionOptions, TemplateFit};
@@ -71,6 +75,16 @@ impl Default for Recipe {
 }
 
 impl Recipe {
+    /// Reads a recipe from a JSON file, in which missing keys have their defaults.
+    ///
+    /// # Errors
+    /// Fails if the file cannot be read or is no recipe.
+    pub fn read(path: &Path) -> Result<Self, FileError> {
+        let recipe: Self = json::read(path, "a recipe of conditions")?;
+        recipe.check().map_err(|error| FileError::content(error.expected, error.found, path))?;
+        Ok(recipe)
+    }
+
     /// Validates the recipe.
     ///
     /// # Errors

@@ -3,10 +3,10 @@ use std::time::Instant as Clock;
 use image::RgbImage;
 use point_skeleton::Renderer;
 use point_skeleton::geometry::{ImageSize, Pose};
-use point_skeleton::scene::{GroundTruthError, GroundTruthImages};
+use point_skeleton::scene::{GroundTruthError, GroundTruthImages, SceneState};
 use pskel_sim::report::images::StepImages;
 use pskel_sim::rollout::{AnyError, GenerationTimes, ImageGenerator, lap};
-use pskel_sim::{Committed, Forecast, Instant};
+use pskel_sim::{Committed, Forecast};
 
 use crate::{
     Cache, Codec, Conditioner, ConditionerError, Denoiser, DenoiserError, FrameConditions, GaussianNoise,
@@ -19,9 +19,10 @@ pub type AnyDenoiser = Box<dyn Denoiser<Condition = FrameConditions> + Send>;
 /// Components and options of a [`Session`].
 pub struct SessionParts<'a> {
     /// Renders the network input.
-    pub conditioner: Conditioner<'a>,
-    /// Source of the reference images and of the ground truth for comparison.
-    pub truth: GroundTruthImages<'a>,
+    pub conditioner: Conditioner,
+    /// Source of the reference images and of the ground truth for comparison; `None` if references are given
+    /// by [`ImageGenerator::add_reference`].
+    pub truth: Option<GroundTruthImages<'a>>,
     /// Whether the ego follows the log in the whole rollout.
     pub ego_follows_log: bool,
     /// Whether the actors follow the log in the whole rollout.
@@ -37,7 +38,7 @@ pub struct SessionParts<'a> {
 }
 
 /// A generator that runs with a simulation. At each planning step it generates a frame from the committed and
-/// forecast instants. The first frames are references: the ground-truth images of the first planning steps.
+/// forecast states. The first frames are references: the ground-truth images of the first planning steps.
 pub struct Session<'a> {
     parts: SessionParts<'a>,
     state: SessionState,
@@ -73,6 +74,15 @@ pub enum SessionError {
     /// A previous step failed.
     #[error("the generator failed in an earlier step: resume in a new session")]
     Failed,
+    /// References are to be given, and some are missing.
+    #[error("expected given references before the first generated frame, found none")]
+    NoReferences,
+    /// Too many references are given.
+    #[error("expected {expected} references, found another one")]
+    References {
+        /// Number of references.
+        expected: usize,
+    },
     /// The rollout cannot be resumed because something is missing.
     #[error("cannot resume: expected {expected}, found {found}")]
     Resume {
@@ -109,7 +119,7 @@ impl<'a> Session<'a> {
     pub fn resume(
         &mut self,
         frames: usize,
-        last: &[Committed<Instant>],
+        last: &[Committed<SceneState>],
         cache: Option<Cache>,
         renderer: &mut Renderer<'_>,
     ) -> Result<(), SessionError> {
@@ -121,12 +131,13 @@ impl<'a> Session<'a> {
         }
         let begun = frames > references;
         let first = usize::from(begun);
-        self.before = last.first().filter(|_| begun).map(|before| before.get().ego.pose);
+        self.before = last.first().filter(|_| begun).map(|before| before.get().global_from_ego);
         let mut shown = Vec::new();
-        for instant in &last[first..] {
-            let drawn = self.draw(instant.as_ref(), renderer)?;
+        for state in &last[first..] {
+            let drawn = self.draw(state.as_ref(), renderer)?;
             if !begun {
-                self.keep(&drawn)?;
+                let images = self.truth(drawn.get())?;
+                self.keep(&drawn, &images)?;
             }
             shown.push(drawn.map(|drawn| drawn.conditions));
         }
@@ -152,10 +163,7 @@ impl<'a> Session<'a> {
     /// reference.
     pub fn forecasts(&self) -> usize {
         let SessionParts { options, .. } = &self.parts;
-        match &self.state {
-            SessionState::Warm { retained, .. } if retained.len() < options.references() => 0,
-            _ => options.forecasts(),
-        }
+        if self.wants_references() { 0 } else { options.forecasts() }
     }
 
     /// Generates the frame of a committed planning step; `expected` are forecasts of the next ones.
@@ -165,8 +173,8 @@ impl<'a> Session<'a> {
     /// then fail; resume in a new session with [`Session::resume`].
     pub fn step(
         &mut self,
-        now: Committed<&Instant>,
-        expected: &[Forecast<Instant>],
+        now: Committed<&SceneState>,
+        expected: &[Forecast<SceneState>],
         renderer: &mut Renderer<'_>,
     ) -> Result<StepImages, SessionError> {
         if matches!(self.state, SessionState::Failed) {
@@ -181,17 +189,17 @@ impl<'a> Session<'a> {
 
     fn make(
         &mut self,
-        now: Committed<&Instant>,
-        expected: &[Forecast<Instant>],
+        now: Committed<&SceneState>,
+        expected: &[Forecast<SceneState>],
         renderer: &mut Renderer<'_>,
     ) -> Result<StepImages, SessionError> {
         let mut clock = Clock::now();
         let mut times = GenerationTimes::default();
         let drawn = self.draw(now.clone(), renderer)?;
         times.conditions_s = lap(&mut clock);
-        let references = self.parts.options.references();
-        if matches!(&self.state, SessionState::Warm { retained, .. } if retained.len() < references) {
-            let images = self.keep(&drawn)?;
+        if self.wants_references() {
+            let images = self.truth(drawn.get())?;
+            self.keep(&drawn, &images)?;
             times.truth_s = lap(&mut clock);
             self.times = times;
             let truth = self.has_truth().then(|| images.clone());
@@ -222,33 +230,43 @@ impl<'a> Session<'a> {
     /// Returns whether every step has ground-truth images.
     pub fn has_truth(&self) -> bool {
         let SessionParts { truth, ego_follows_log, actors_follow_log, .. } = &self.parts;
-        truth.are_known(*ego_follows_log, *actors_follow_log)
+        truth.is_some_and(|truth| truth.are_known(*ego_follows_log, *actors_follow_log))
     }
 
     fn draw(
         &mut self,
-        instant: Committed<&Instant>,
+        state: Committed<&SceneState>,
         renderer: &mut Renderer<'_>,
     ) -> Result<Committed<RenderedConditions>, SessionError> {
-        let pose = instant.get().ego.pose;
-        let drawn = self.parts.conditioner.committed(instant, self.before, renderer)?;
+        let pose = state.get().global_from_ego;
+        let drawn = self.parts.conditioner.committed(state, self.before, renderer)?;
         self.before = Some(pose);
         Ok(drawn)
     }
 
+    /// Returns whether references are missing.
+    fn wants_references(&self) -> bool {
+        let references = self.parts.options.references();
+        matches!(&self.state, SessionState::Warm { retained, .. } if retained.len() < references)
+    }
+
     /// Adds a step as a reference.
-    fn keep(&mut self, drawn: &Committed<RenderedConditions>) -> Result<Vec<RgbImage>, SessionError> {
-        let images = self.truth(drawn.get())?;
-        let latent = self.parts.codec.encode(&images)?;
+    fn keep(
+        &mut self,
+        drawn: &Committed<RenderedConditions>,
+        images: &[RgbImage],
+    ) -> Result<(), SessionError> {
+        let latent = self.parts.codec.encode(images)?;
         if let SessionState::Warm { retained, .. } = &mut self.state {
             retained.push((latent, drawn.clone().map(|drawn| drawn.conditions)));
         }
-        Ok(images)
+        Ok(())
     }
 
     fn truth(&self, drawn: &RenderedConditions) -> Result<Vec<RgbImage>, SessionError> {
         let SessionParts { truth, conditioner, size, actors_follow_log, .. } = &self.parts;
         let view = |view: &point_skeleton::geometry::View| conditioner.options().drawn_view(view);
+        let truth = truth.ok_or(SessionError::NoReferences)?;
         Ok(truth.of(&drawn.state, view, *size, *actors_follow_log)?)
     }
 
@@ -277,11 +295,24 @@ impl ImageGenerator for Session<'_> {
     fn generate(
         &mut self,
         _frame: usize,
-        now: Committed<&Instant>,
-        expected: &[Forecast<Instant>],
+        now: Committed<&SceneState>,
+        expected: &[Forecast<SceneState>],
         renderer: &mut Renderer<'_>,
     ) -> Result<Option<StepImages>, AnyError> {
         Ok(Some(self.step(now, expected, renderer)?))
+    }
+
+    fn add_reference(
+        &mut self,
+        now: Committed<&SceneState>,
+        images: Vec<RgbImage>,
+        renderer: &mut Renderer<'_>,
+    ) -> Result<(), AnyError> {
+        if !self.wants_references() {
+            return Err(SessionError::References { expected: self.parts.options.references() }.into());
+        }
+        let drawn = self.draw(now, renderer)?;
+        Ok(self.keep(&drawn, &images)?)
     }
 
     fn times(&self) -> GenerationTimes {
@@ -295,7 +326,7 @@ impl ImageGenerator for Session<'_> {
     fn resume(
         &mut self,
         frames: usize,
-        last: &[Committed<Instant>],
+        last: &[Committed<SceneState>],
         saved: Option<&[u8]>,
         renderer: &mut Renderer<'_>,
     ) -> Result<(), AnyError> {

@@ -5,7 +5,6 @@ use safetensors::SafeTensorError;
 use serde::{Serialize, Serializer};
 
 use super::ImageRig;
-use super::request::Tensor;
 use crate::DenoiserRig;
 use crate::process::connection::MAX_ANSWER_BYTES;
 use crate::process::hello::image_size;
@@ -43,14 +42,14 @@ fn offered(has_map: bool) -> &'static [MapKind] {
     if has_map { &MAPS } else { &MAPS[..MAPS.len() - 1] }
 }
 
-pub(super) fn hello(rig: &ImageRig<'_>, size: ImageSize) -> Result<Vec<u8>, SafeTensorError> {
-    let DenoiserRig { cameras, image_sizes, fps } = DenoiserRig::of(rig.log, rig.fps);
+pub(super) fn hello(rig: &ImageRig, size: ImageSize) -> Result<Vec<u8>, SafeTensorError> {
+    let DenoiserRig { cameras, image_sizes, fps } = &rig.rig;
     let sizes: Vec<[u32; 2]> = image_sizes.iter().map(|size| [size.width, size.height]).collect();
     let maps: Vec<&str> = offered(rig.has_map).iter().map(|map| map.name()).collect();
     let texts = [
         ("protocol", PROTOCOL.to_owned()),
         ("version", VERSION.to_owned()),
-        ("log", rig.log.name.clone()),
+        ("log", rig.log.clone()),
         ("seed", rig.seed.to_string()),
         ("fps", fps.to_string()),
         ("condition_size", format!("{},{}", size.height, size.width)),
@@ -58,11 +57,11 @@ pub(super) fn hello(rig: &ImageRig<'_>, size: ImageSize) -> Result<Vec<u8>, Safe
         ("image_sizes", serde_json::json!(sizes).to_string()),
         ("maps", serde_json::json!(maps).to_string()),
     ];
-    serialized::<Tensor>(texts, [])
+    serialized(texts, [])
 }
 
 /// Parses and validates the answer to the hello.
-pub(super) fn read_hello(answer: &[u8], rig: &ImageRig<'_>) -> Result<Wanted, ProtocolError> {
+pub(super) fn read_hello(answer: &[u8], rig: &ImageRig) -> Result<Wanted, ProtocolError> {
     let answer = Answer::read(answer)?;
     refuse_error(&answer)?;
     let text = |name: &str| answer.texts.get(name).map_or("", String::as_str);
@@ -71,7 +70,7 @@ pub(super) fn read_hello(answer: &[u8], rig: &ImageRig<'_>) -> Result<Wanted, Pr
             format!("`protocol` {} of `version` {}", answer.quoted("protocol"), answer.quoted("version"));
         return Err(ProtocolError::new(format!("`protocol` {PROTOCOL:?} of `version` {VERSION:?}"), found));
     }
-    let cameras = rig.log.rig.len().max(1);
+    let cameras = rig.rig.cameras.len().max(1);
     // Half of the limit leaves room for the header.
     let most = (MAX_ANSWER_BYTES / 2) as usize / 3 / cameras;
     let size = image_size(text("image_size")).filter(|size| size.pixels() <= most);

@@ -10,7 +10,6 @@ mod request;
 pub(super) mod session;
 
 use point_skeleton::conditions::MapKind;
-use point_skeleton::dataset::Recording;
 use point_skeleton::geometry::ImageSize;
 use point_skeleton::memory::{MemoryError, Need, reserve};
 use point_skeleton::scene::GroundTruthError;
@@ -19,8 +18,8 @@ use safetensors::SafeTensorError;
 use serde::Serialize;
 
 use self::hello::{Wanted, hello, read_hello};
-use crate::Recipe;
 use crate::process::connection::MAX_ANSWER_BYTES;
+use crate::{DenoiserRig, Recipe};
 
 /// Image generator in another process, after the exchange of hellos. After a failure, all further calls fail.
 /// Serializes as what determines its images.
@@ -32,6 +31,8 @@ pub struct ImageProcess {
     #[serde(flatten)]
     wanted: Wanted,
     noise_seed: u64,
+    #[serde(skip)]
+    views: usize,
 }
 
 /// Error of an image generator in another process.
@@ -52,6 +53,23 @@ pub enum ImageProcessError {
     /// The recorded images cannot be read.
     #[error(transparent)]
     Truth(#[from] GroundTruthError),
+    /// References are to be given, and some are missing.
+    #[error("expected given references before the first generated frame, found none")]
+    NoReferences,
+    /// Too many references are given.
+    #[error("expected {expected} references, found another one")]
+    References {
+        /// Number of references.
+        expected: usize,
+    },
+    /// Given references have another size.
+    #[error("expected references as {views} images of {size}, found others")]
+    ReferenceSize {
+        /// Number of cameras.
+        views: usize,
+        /// Size of the images.
+        size: ImageSize,
+    },
     /// The rollout cannot be resumed because something is missing.
     #[error("cannot resume: expected {expected}, found {found}")]
     Resume {
@@ -63,14 +81,14 @@ pub enum ImageProcessError {
 }
 
 /// Rollout for which an image generator is started.
-#[derive(Clone, Copy, Debug)]
-pub struct ImageRig<'a> {
-    /// Recorded or synthetic log.
-    pub log: &'a Recording,
+#[derive(Clone, Debug)]
+pub struct ImageRig {
+    /// Name of the log.
+    pub log: String,
+    /// Cameras and planning steps per second.
+    pub rig: DenoiserRig,
     /// Whether the log has an HD map.
     pub has_map: bool,
-    /// Planning steps per second.
-    pub fps: f64,
     /// Seed of the noise.
     pub seed: u64,
 }
@@ -81,13 +99,13 @@ impl ImageProcess {
     /// # Errors
     /// Fails if the process cannot be started or reached, does not answer in time, or violates the protocol,
     /// and if its requests do not fit into memory.
-    pub fn start(spec: &PeerSpec, recipe: Recipe, rig: &ImageRig<'_>) -> Result<Self, ImageProcessError> {
+    pub fn start(spec: &PeerSpec, recipe: Recipe, rig: &ImageRig) -> Result<Self, ImageProcessError> {
         let framing = Framing::Lengths { max_bytes: MAX_ANSWER_BYTES };
         let mut link = Link::open("image generator", spec, framing)?;
         let answer = link.ask(hello(rig, recipe.size)?)?;
         let wanted = read_hello(&answer, rig).map_err(|wrong| link.refuse(wrong))?;
-        let process = Self { link, recipe, wanted, noise_seed: rig.seed };
-        process.check_memory(rig.log.rig.len())?;
+        let process = Self { link, recipe, wanted, noise_seed: rig.seed, views: rig.rig.cameras.len() };
+        process.check_memory()?;
         Ok(process)
     }
 
@@ -111,6 +129,11 @@ impl ImageProcess {
         self.wanted.forecasts
     }
 
+    /// Returns the number of cameras.
+    pub(crate) fn views(&self) -> usize {
+        self.views
+    }
+
     /// Sends a request and reads the answer.
     fn ask<T>(
         &mut self,
@@ -122,10 +145,10 @@ impl ImageProcess {
     }
 
     /// Checks that requests and images fit into the memory that is available.
-    fn check_memory(&self, cameras: usize) -> Result<(), MemoryError> {
-        let Self { recipe, wanted, .. } = self;
+    fn check_memory(&self) -> Result<(), MemoryError> {
+        let Self { recipe, wanted, views, .. } = self;
         let frames = 1 + wanted.forecasts;
-        let pixels = |size: ImageSize| (cameras * size.pixels()) as u64;
+        let pixels = |size: ImageSize| (views * size.pixels()) as u64;
         let maps = wanted.maps.iter().map(|map| pixel_bytes(*map)).sum::<u64>() * pixels(recipe.size);
         let images = 3 * pixels(wanted.size);
         // A request is held twice while it is serialized; images are kept, and sent.

@@ -1,4 +1,3 @@
-use std::borrow::Cow;
 use std::collections::VecDeque;
 
 use glam::DMat4;
@@ -7,11 +6,11 @@ use point_skeleton::conditions::{CameraConditions, ConditionSet, MapKind, Prompt
 use point_skeleton::geometry::{ImageSize, Pose};
 use point_skeleton::scene::{ActorState, SceneCamera, SceneState};
 use pskel_sim::peer::ProtocolError;
-use safetensors::tensor::{Dtype, SafeTensorError, View};
+use safetensors::tensor::{Dtype, SafeTensorError};
 use serde_json::{Value, json};
 
 use super::hello::{Wanted, refuse_error};
-use crate::process::message::{Answer, serialized};
+use crate::process::message::{Answer, Tensor, serialized};
 
 /// Depth of empty pixels in messages, meters.
 const EMPTY_DEPTH_M: f32 = -300.0;
@@ -23,44 +22,6 @@ pub(super) struct RequestFrame<'a> {
     pub(super) state: SceneState,
     pub(super) set: ConditionSet,
     pub(super) prompts: &'a Prompts,
-}
-
-/// A tensor to send: little-endian numbers.
-pub(super) struct Tensor {
-    dtype: Dtype,
-    shape: Vec<usize>,
-    bytes: Vec<u8>,
-}
-
-impl View for Tensor {
-    fn dtype(&self) -> Dtype {
-        self.dtype
-    }
-
-    fn shape(&self) -> &[usize] {
-        &self.shape
-    }
-
-    fn data(&self) -> Cow<'_, [u8]> {
-        Cow::Borrowed(&self.bytes)
-    }
-
-    fn data_len(&self) -> usize {
-        self.bytes.len()
-    }
-}
-
-impl Tensor {
-    fn of_f64(shape: Vec<usize>, values: impl Iterator<Item = f64>) -> Self {
-        Self { dtype: Dtype::F64, shape, bytes: values.flat_map(f64::to_le_bytes).collect() }
-    }
-
-    /// Creates a tensor of images `[P, V, h, w, 3]`, oldest first.
-    pub(super) fn of_images(earlier: &VecDeque<Vec<RgbImage>>, views: usize, size: ImageSize) -> Self {
-        let bytes = earlier.iter().flatten().flat_map(|image| image.as_raw().iter().copied()).collect();
-        let shape = vec![earlier.len(), views, size.height as usize, size.width as usize, 3];
-        Self { dtype: Dtype::U8, shape, bytes }
-    }
 }
 
 /// Serializes the request for the images of a planning step. `size`: of the maps.
@@ -99,9 +60,19 @@ pub(super) fn request(
     ));
     tensors.push(("intrinsics", Tensor::of_f64(vec![each, views, 3, 3], intrinsics)));
     if !earlier.is_empty() {
-        tensors.push((IMAGES, Tensor::of_images(earlier, views, wanted.size)));
+        tensors.push((IMAGES, images_tensor(earlier, views, wanted.size)));
     }
     serialized(texts, tensors)
+}
+
+/// Returns a tensor of images `[P, V, h, w, 3]`, oldest first.
+pub(super) fn images_tensor(earlier: &VecDeque<Vec<RgbImage>>, views: usize, size: ImageSize) -> Tensor {
+    let bytes = earlier.iter().flatten().flat_map(|image| image.as_raw().iter().copied()).collect();
+    Tensor {
+        dtype: Dtype::U8,
+        shape: vec![earlier.len(), views, size.height as usize, size.width as usize, 3],
+        bytes,
+    }
 }
 
 /// Returns the elements of a pose's matrix, row by row.

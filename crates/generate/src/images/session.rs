@@ -3,13 +3,14 @@ use std::time::Instant as Clock;
 
 use image::RgbImage;
 use point_skeleton::conditions::{ConditionOptions, MapSet, Prompts};
+use point_skeleton::scene::{GroundTruthImages, SceneState};
 use point_skeleton::{MapOptions, Renderer};
 use pskel_sim::report::images::StepImages;
 use pskel_sim::rollout::{AnyError, GenerationTimes, ImageGenerator, lap};
-use pskel_sim::{Committed, Forecast, Instant, scene_state};
+use pskel_sim::{Committed, Forecast};
 use safetensors::tensor::Dtype;
 
-use super::request::{IMAGES, RequestFrame, Tensor, read_images, request};
+use super::request::{IMAGES, RequestFrame, images_tensor, read_images, request};
 use super::{ImageProcess, ImageProcessError};
 use crate::GenerationScene;
 use crate::process::message::{Answer, serialized};
@@ -35,7 +36,7 @@ impl<'a> ImageSession<'a> {
     pub fn new(process: ImageProcess, scene: GenerationScene<'a>) -> Self {
         let recipe = process.recipe();
         let maps = MapSet::of(&process.wanted.maps);
-        let options = ConditionOptions { maps, ..recipe.options(scene.map.is_some()) };
+        let options = ConditionOptions { maps, ..recipe.options(scene.has_map) };
         let maps = MapOptions::new(options, recipe.selection());
         let (prompt, earlier) = (Prompts::Frame(scene.prompt.clone()), VecDeque::new());
         Self { process, scene, prompt, maps, earlier, frames: 0, times: GenerationTimes::default() }
@@ -44,8 +45,8 @@ impl<'a> ImageSession<'a> {
     fn make(
         &mut self,
         frame: usize,
-        now: &Instant,
-        expected: &[Forecast<Instant>],
+        now: &SceneState,
+        expected: &[Forecast<SceneState>],
         renderer: &mut Renderer<'_>,
     ) -> Result<StepImages, ImageProcessError> {
         let mut clock = Clock::now();
@@ -77,25 +78,24 @@ impl<'a> ImageSession<'a> {
         Ok(StepImages { is_reference, images, truth, rows: None })
     }
 
-    /// Renders the maps of an instant.
+    /// Renders the maps of a state.
     fn draw(
         &self,
-        instant: &Instant,
+        state: &SceneState,
         renderer: &mut Renderer<'_>,
     ) -> Result<RequestFrame<'_>, ImageProcessError> {
-        let state = scene_state(self.scene.log, instant, self.scene.map.clone());
-        let set = renderer.render_with(&state, &self.maps)?.set;
+        let set = renderer.render_with(state, &self.maps)?.set;
         let captions = self.scene.captions.as_ref();
-        let prompts = captions.map_or(&self.prompt, |captions| captions.at(instant.t_us));
-        Ok(RequestFrame { state, set, prompts })
+        let prompts = captions.map_or(&self.prompt, |captions| captions.at(state.t_us));
+        Ok(RequestFrame { state: state.clone(), set, prompts })
     }
 
-    /// Returns the ground-truth images of an instant.
-    fn truth(&self, instant: &Instant) -> Result<Vec<RgbImage>, ImageProcessError> {
-        let GenerationScene { log, map, truth, actors_follow_log, .. } = &self.scene;
-        let state = scene_state(log, instant, map.clone());
+    /// Returns the ground-truth images of a state.
+    fn truth(&self, state: &SceneState) -> Result<Vec<RgbImage>, ImageProcessError> {
+        let GenerationScene { truth, actors_follow_log, .. } = &self.scene;
+        let truth: &GroundTruthImages<'_> = truth.as_ref().ok_or(ImageProcessError::NoReferences)?;
         let drawn = |view: &_| self.maps.conditions.drawn_view(view);
-        Ok(truth.of(&state, drawn, self.process.size(), *actors_follow_log)?)
+        Ok(truth.of(state, drawn, self.process.size(), *actors_follow_log)?)
     }
 
     /// Keeps the images of a frame for the next requests.
@@ -113,7 +113,7 @@ impl<'a> ImageSession<'a> {
             let expected = format!("{expected} behind frame {frames}");
             ImageProcessError::Resume { expected, found }
         };
-        let (size, views) = (self.process.size(), self.scene.log.rig.len());
+        let (size, views) = (self.process.size(), self.process.views());
         let count = self.process.wanted.history.min(frames);
         let saved = Answer::read(saved).map_err(|error| wrong("earlier images", error.to_string()))?;
         if saved.texts.get(FRAMES).is_none_or(|found| *found != frames.to_string()) {
@@ -145,11 +145,30 @@ impl ImageGenerator for ImageSession<'_> {
     fn generate(
         &mut self,
         frame: usize,
-        now: Committed<&Instant>,
-        expected: &[Forecast<Instant>],
+        now: Committed<&SceneState>,
+        expected: &[Forecast<SceneState>],
         renderer: &mut Renderer<'_>,
     ) -> Result<Option<StepImages>, AnyError> {
         Ok(Some(self.make(frame, now.get(), expected, renderer)?))
+    }
+
+    fn add_reference(
+        &mut self,
+        _now: Committed<&SceneState>,
+        images: Vec<RgbImage>,
+        _renderer: &mut Renderer<'_>,
+    ) -> Result<(), AnyError> {
+        let (size, views, references) =
+            (self.process.size(), self.process.views(), self.process.wanted.references);
+        if self.frames >= references {
+            return Err(ImageProcessError::References { expected: references }.into());
+        }
+        let fits = |image: &RgbImage| image.dimensions() == (size.width, size.height);
+        if images.len() != views || !images.iter().all(fits) {
+            return Err(ImageProcessError::ReferenceSize { views, size }.into());
+        }
+        self.keep(images);
+        Ok(())
     }
 
     fn times(&self) -> GenerationTimes {
@@ -160,8 +179,8 @@ impl ImageGenerator for ImageSession<'_> {
         if self.frames <= self.process.wanted.references {
             return Ok(None);
         }
-        let (views, size) = (self.scene.log.rig.len(), self.process.size());
-        let images = (!self.earlier.is_empty()).then(|| Tensor::of_images(&self.earlier, views, size));
+        let (views, size) = (self.process.views(), self.process.size());
+        let images = (!self.earlier.is_empty()).then(|| images_tensor(&self.earlier, views, size));
         let saved = serialized([(FRAMES, self.frames.to_string())], images.map(|images| (IMAGES, images)))?;
         Ok(Some(saved))
     }
@@ -169,7 +188,7 @@ impl ImageGenerator for ImageSession<'_> {
     fn resume(
         &mut self,
         frames: usize,
-        last: &[Committed<Instant>],
+        last: &[Committed<SceneState>],
         saved: Option<&[u8]>,
         _renderer: &mut Renderer<'_>,
     ) -> Result<(), AnyError> {
@@ -182,8 +201,8 @@ impl ImageGenerator for ImageSession<'_> {
         if last.len() != frames {
             return Err(wrong(format!("the {frames} planning steps before"), &last.len().to_string()).into());
         }
-        for instant in last {
-            let images = self.truth(instant.get())?;
+        for state in last {
+            let images = self.truth(state.get())?;
             self.keep(images);
         }
         Ok(())
@@ -195,6 +214,6 @@ impl ImageGenerator for ImageSession<'_> {
 
     fn has_truth(&self) -> bool {
         let GenerationScene { truth, ego_follows_log, actors_follow_log, .. } = &self.scene;
-        truth.are_known(*ego_follows_log, *actors_follow_log)
+        truth.is_some_and(|truth| truth.are_known(*ego_follows_log, *actors_follow_log))
     }
 }

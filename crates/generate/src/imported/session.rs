@@ -1,16 +1,15 @@
-use std::sync::Arc;
 use std::time::Instant as Clock;
 
 use image::RgbImage;
 use image::imageops::crop_imm;
 use point_skeleton::Renderer;
-use point_skeleton::dataset::{Recording, read_picture};
+use point_skeleton::dataset::read_picture;
 use point_skeleton::error::FileError;
 use point_skeleton::geometry::{ImageSize, View};
-use point_skeleton::scene::{GroundTruthError, GroundTruthImages, SceneMap};
+use point_skeleton::scene::{GroundTruthError, GroundTruthImages, SceneState};
 use pskel_sim::report::images::{ImageRows, StepImages};
 use pskel_sim::rollout::{AnyError, GenerationTimes, ImageGenerator, lap};
-use pskel_sim::{Committed, Forecast, Instant, scene_state};
+use pskel_sim::{Committed, Forecast};
 use rayon::prelude::*;
 
 use super::matching::{ClipImages, FrameImage};
@@ -18,8 +17,6 @@ use super::matching::{ClipImages, FrameImage};
 /// Reads images of another program in the place of a generator.
 pub struct ImportSession<'a> {
     images: ClipImages,
-    log: &'a Recording,
-    map: Option<Arc<SceneMap>>,
     truth: GroundTruthImages<'a>,
     /// Whether ego and actors follow the log in the whole rollout.
     follow_log: [bool; 2],
@@ -43,35 +40,24 @@ impl ClipImages {
 
 impl<'a> ImportSession<'a> {
     /// Starts a rollout. `follow_log`: whether the ego and the actors follow the log in the whole rollout.
-    pub fn new(
-        images: ClipImages,
-        log: &'a Recording,
-        map: Option<Arc<SceneMap>>,
-        truth: GroundTruthImages<'a>,
-        follow_log: [bool; 2],
-    ) -> Self {
-        #[cfg(feature = "video")]
-        let videos = log.rig.iter().map(|_| None).collect();
+    pub fn new(images: ClipImages, truth: GroundTruthImages<'a>, follow_log: [bool; 2]) -> Self {
         Self {
             images,
-            log,
-            map,
             truth,
             follow_log,
             #[cfg(feature = "video")]
-            videos,
+            videos: Vec::new(),
             times: GenerationTimes::default(),
         }
     }
 
-    /// Returns the ground-truth images of an instant, cropped to the rows of the images.
-    fn truth(&self, instant: &Instant) -> Result<Vec<RgbImage>, GroundTruthError> {
+    /// Returns the ground-truth images of a state, cropped to the rows of the images.
+    fn truth(&self, state: &SceneState) -> Result<Vec<RgbImage>, GroundTruthError> {
         let ClipImages { size, rows, .. } = &self.images;
         let whole = rows.map_or(*size, |rows| rows.whole(*size));
-        let state = scene_state(self.log, instant, self.map.clone());
         let drawn =
             |view: &View| View { camera: view.camera.resized(whole.height, whole.width), ..view.clone() };
-        let images = self.truth.of(&state, drawn, whole, self.follow_log[1])?;
+        let images = self.truth.of(state, drawn, whole, self.follow_log[1])?;
         Ok(match rows {
             Some(rows) => images.iter().map(|image| crop(image, *rows, *size)).collect(),
             None => images,
@@ -104,6 +90,7 @@ impl<'a> ImportSession<'a> {
     #[cfg(feature = "video")]
     fn video_frame(&mut self, camera: usize, image: &FrameImage) -> Result<RgbImage, FileError> {
         let number = image.video_frame.unwrap_or_default();
+        self.videos.resize_with(self.videos.len().max(camera + 1), || None);
         let opened = self.videos[camera].take().filter(|video| video.is_before(&image.path, number));
         let mut video = opened.map_or_else(|| pskel_sim::report::VideoFrames::open(&image.path), Ok)?;
         let found = video.frame(number)?;
@@ -132,8 +119,8 @@ impl ImageGenerator for ImportSession<'_> {
     fn generate(
         &mut self,
         frame: usize,
-        now: Committed<&Instant>,
-        _expected: &[Forecast<Instant>],
+        now: Committed<&SceneState>,
+        _expected: &[Forecast<SceneState>],
         _renderer: &mut Renderer<'_>,
     ) -> Result<Option<StepImages>, AnyError> {
         let rows = self.images.rows;
@@ -157,6 +144,16 @@ impl ImageGenerator for ImportSession<'_> {
         Ok(Some(StepImages { is_reference, images, truth, rows }))
     }
 
+    /// The images are all there.
+    fn add_reference(
+        &mut self,
+        _now: Committed<&SceneState>,
+        _images: Vec<RgbImage>,
+        _renderer: &mut Renderer<'_>,
+    ) -> Result<(), AnyError> {
+        Err("images of another program take no references".into())
+    }
+
     fn times(&self) -> GenerationTimes {
         self.times
     }
@@ -168,7 +165,7 @@ impl ImageGenerator for ImportSession<'_> {
     fn resume(
         &mut self,
         _frames: usize,
-        _last: &[Committed<Instant>],
+        _last: &[Committed<SceneState>],
         _saved: Option<&[u8]>,
         _renderer: &mut Renderer<'_>,
     ) -> Result<(), AnyError> {

@@ -1,12 +1,12 @@
 use half::{bf16, f16};
-use point_skeleton::conditions::Prompts;
 use point_skeleton::conditions::tensor::{LAYOUT_CHANNELS, POINT_CHANNELS};
-use point_skeleton::geometry::ImageSize;
+use point_skeleton::conditions::{DepthBins, DepthEmbedding, Prompts, TensorEncoder};
 use pskel_sim::peer::ProtocolError;
 use safetensors::Dtype;
 
 use super::hello::{DenoiserOutputs, Precision};
-use super::message::{Answer, Values, message};
+use super::message::{Answer, Tensor, message};
+use super::sent::{Numbered, SentFrames};
 use crate::{
     CAMERA_NUMBERS, DenoiserError, DroppedConditions, Frame, FrameConditions, GuidedPrediction, Latent,
     LatentShape,
@@ -17,53 +17,106 @@ const PREDICTION: &str = "prediction";
 const UNCONDITIONAL: &str = "unconditional";
 
 /// Serializes a window as a `predict` request. All latents are of `shape`, all conditions of one size. With
-/// `dropped` conditions it asks for both halves of guidance.
+/// `dropped` conditions it asks for both halves of guidance. With `sent`, the conditions are sent once.
 pub(super) fn request(
     window: &[Frame<'_, FrameConditions>],
     shape: LatentShape,
     call: u64,
     dropped: Option<DroppedConditions>,
+    sent: Option<&mut SentFrames>,
 ) -> Result<Vec<u8>, DenoiserError> {
-    let frames = window.len();
     let [views, channels, height, width] = shape.to_array();
-    let size = window.first().map_or(ImageSize { height: 0, width: 0 }, |frame| frame.condition.size);
-    let maps = |channels: usize| vec![frames, views, channels, size.height as usize, size.width as usize];
-    let timesteps: Vec<f32> = window.iter().map(|frame| frame.level.timestep).collect();
-    let sigmas: Vec<f32> = window.iter().map(|frame| frame.level.sigma).collect();
-    let owned = |of: fn(&FrameConditions) -> Vec<f32>| -> Vec<Vec<f32>> {
-        window.iter().map(|frame| of(frame.condition)).collect()
+    let levels = |of: fn(&Frame<'_, FrameConditions>) -> f32| {
+        Tensor::of_f32(vec![window.len()], window.iter().map(of))
     };
-    let (points, layout) = (owned(FrameConditions::points), owned(FrameConditions::layout));
-    let tensors = [
-        ("latents", vec![frames, views, channels, height, width], parts(window, |f| f.latent.values())),
-        ("timesteps", vec![frames], vec![timesteps.as_slice()]),
-        ("sigmas", vec![frames], vec![sigmas.as_slice()]),
-        ("points", maps(POINT_CHANNELS), slices(&points)),
-        ("layout", maps(LAYOUT_CHANNELS), slices(&layout)),
-        ("action", vec![frames, 3], parts(window, |f| &f.condition.action)),
-        (
-            "cameras",
-            vec![frames, views, CAMERA_NUMBERS],
-            parts(window, |f| f.condition.cameras.as_flattened()),
-        ),
+    let latents = window.iter().flat_map(|frame| frame.latent.values().iter().copied());
+    let mut tensors = vec![
+        ("latents", Tensor::of_f32(vec![window.len(), views, channels, height, width], latents)),
+        ("timesteps", levels(|frame| frame.level.timestep)),
+        ("sigmas", levels(|frame| frame.level.sigma)),
     ];
     let prompts: Vec<&Prompts> = window.iter().map(|frame| &frame.condition.prompts).collect();
     let references: Vec<bool> = window.iter().map(|frame| frame.is_reference).collect();
-    let texts = [
+    let mut texts = vec![
         ("ask", "predict".to_owned()),
         (CALL, call.to_string()),
         ("references", serde_json::json!(references).to_string()),
         ("prompts", serde_json::json!(prompts).to_string()),
     ];
-    let dropped = dropped.map(|dropped| ("dropped", serde_json::json!(names(dropped)).to_string()));
-    message(
-        texts.into_iter().chain(dropped),
-        tensors.map(|(name, shape, parts)| (name, Values { shape, parts })),
-    )
+    texts.extend(dropped.map(|dropped| ("dropped", serde_json::json!(names(dropped)).to_string())));
+    let all: Vec<&FrameConditions> = window.iter().map(|frame| frame.condition).collect();
+    match sent {
+        None => tensors.extend(whole(&all)),
+        Some(sent) => {
+            let Numbered { numbers, new } = sent.number(&all);
+            let (new_numbers, new): (Vec<u64>, Vec<&FrameConditions>) =
+                new.iter().map(|position| (numbers[*position], all[*position])).unzip();
+            let without = all.first().map_or(DroppedConditions::default(), |frame| frame.dropped);
+            texts.push(("frames", serde_json::json!(numbers).to_string()));
+            texts.push(("new", serde_json::json!(new_numbers).to_string()));
+            texts.push(("without", serde_json::json!(names(without)).to_string()));
+            tensors.extend(compact(&new));
+        }
+    }
+    message(texts, tensors)
 }
 
-fn slices(all: &[Vec<f32>]) -> Vec<&[f32]> {
-    all.iter().map(Vec::as_slice).collect()
+/// Returns the conditions of frames as network inputs.
+fn whole(frames: &[&FrameConditions]) -> Vec<(&'static str, Tensor)> {
+    let Some(first) = frames.first() else { return Vec::new() };
+    let maps = |channels: usize, of: fn(&FrameConditions) -> Vec<f32>| {
+        let [height, width] = [first.size.height as usize, first.size.width as usize];
+        let shape = vec![frames.len(), first.views(), channels, height, width];
+        Tensor::of_f32(shape, frames.iter().flat_map(|frame| of(frame)))
+    };
+    let mut tensors = vec![
+        ("points", maps(POINT_CHANNELS, FrameConditions::points)),
+        ("layout", maps(LAYOUT_CHANNELS, FrameConditions::layout)),
+    ];
+    tensors.extend(motion(frames, first.views()));
+    tensors
+}
+
+/// Returns the conditions of frames as bytes and depth bins, and the depth channels of each bin.
+fn compact(frames: &[&FrameConditions]) -> Vec<(&'static str, Tensor)> {
+    let Some(first) = frames.first() else { return Vec::new() };
+    let sides = [frames.len(), first.views(), first.size.height as usize, first.size.width as usize];
+    let rgb = |of: fn(&FrameConditions) -> &Vec<[u8; 3]>| {
+        let bytes = frames.iter().flat_map(|frame| of(frame).as_flattened().iter().copied()).collect();
+        Tensor::of_bytes([&sides[..], &[3]].concat(), bytes)
+    };
+    let bins = frames.iter().flat_map(|frame| frame.bins.iter().flat_map(|bin| bin.to_le_bytes()));
+    let depth_channels = POINT_CHANNELS - 3;
+    let values = depth_values(first.depth_bins);
+    let mut tensors = vec![
+        ("color", rgb(|frame| &frame.color)),
+        ("bins", Tensor { dtype: Dtype::U16, shape: sides.to_vec(), bytes: bins.collect() }),
+        ("boxes", rgb(|frame| &frame.boxes)),
+        ("map", rgb(|frame| &frame.map)),
+        (
+            "depth_values",
+            Tensor::of_f32(vec![depth_channels, values.len() / depth_channels], values.into_iter()),
+        ),
+    ];
+    tensors.extend(motion(frames, first.views()));
+    tensors
+}
+
+/// Returns the depth channels of every bin, `[17, count + 1]`; bin 0 is empty.
+fn depth_values(bins: DepthBins) -> Vec<f32> {
+    let all: Vec<u16> = (0..=bins.count).collect();
+    let black = vec![[0; 3]; all.len()];
+    TensorEncoder::new(bins, DepthEmbedding::Both).points_of_bins(&black, &all).split_off(3 * all.len())
+}
+
+/// Returns the motion and the cameras of frames.
+fn motion(frames: &[&FrameConditions], views: usize) -> [(&'static str, Tensor); 2] {
+    let action = frames.iter().flat_map(|frame| frame.action);
+    let cameras = frames.iter().flat_map(|frame| frame.cameras.as_flattened().iter().copied());
+    [
+        ("action", Tensor::of_f32(vec![frames.len(), 3], action)),
+        ("cameras", Tensor::of_f32(vec![frames.len(), views, CAMERA_NUMBERS], cameras)),
+    ]
 }
 
 /// Returns the names of dropped conditions.
@@ -71,13 +124,6 @@ fn names(dropped: DroppedConditions) -> Vec<&'static str> {
     let DroppedConditions { layout, action, color, depth } = dropped;
     let all = [("layout", layout), ("action", action), ("color", color), ("depth", depth)];
     all.into_iter().filter(|(_, is_dropped)| *is_dropped).map(|(name, _)| name).collect()
-}
-
-fn parts<'a>(
-    window: &[Frame<'a, FrameConditions>],
-    of: impl Fn(Frame<'a, FrameConditions>) -> &'a [f32],
-) -> Vec<&'a [f32]> {
-    window.iter().map(|frame| of(*frame)).collect()
 }
 
 /// Parses the predictions for a window of `frames` frames.

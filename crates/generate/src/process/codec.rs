@@ -7,7 +7,7 @@ use pskel_sim::peer::ProtocolError;
 use super::call::read_values;
 use super::connection::Shared;
 use super::hello::DenoiserOutputs;
-use super::message::{Answer, Values, message};
+use super::message::{Answer, Tensor, message};
 use crate::{Codec, DenoiserError, FrameConditions, Latent, LatentShape};
 
 /// Codec of a network in another process, which encodes and decodes images on request.
@@ -33,7 +33,7 @@ impl ProcessCodec {
         (name, shape, values): (&'static str, [usize; 4], &[f32]),
         read: impl FnOnce(&Answer<'_>) -> Result<T, ProtocolError>,
     ) -> Result<T, DenoiserError> {
-        let tensor = (name, Values { shape: shape.to_vec(), parts: vec![values] });
+        let tensor = (name, Tensor::of_f32(shape.to_vec(), values.iter().copied()));
         let request = message([("ask", what.to_owned())], [tensor])?;
         self.shared.ask(request, |answer| read(&Answer::read(answer)?))
     }

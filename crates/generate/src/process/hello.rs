@@ -2,7 +2,7 @@ use point_skeleton::geometry::ImageSize;
 use pskel_sim::peer::ProtocolError;
 
 use super::connection::MAX_ANSWER_BYTES;
-use super::message::{Answer, Values, message};
+use super::message::{Answer, message};
 use super::rig::DenoiserRig;
 use crate::{DenoiserError, LatentShape, Prediction, SamplerOptions};
 
@@ -32,6 +32,8 @@ pub(super) struct DenoiserOutputs {
     pub(super) images: Option<ImageSize>,
     /// Whether it predicts both halves of guidance in one call.
     pub(super) is_guided: bool,
+    /// Whether it keeps conditions by number, which are then sent once.
+    pub(super) keeps_frames: bool,
 }
 
 /// Number format of predictions.
@@ -62,7 +64,7 @@ pub(super) fn hello(taken: &DenoiserInputs, rig: &DenoiserRig) -> Result<Vec<u8>
         ("cameras", serde_json::json!(rig.cameras).to_string()),
         ("image_sizes", serde_json::json!(sizes).to_string()),
     ];
-    message::<Values<'_>>(texts, [])
+    message(texts, [])
 }
 
 /// Parses and validates the answer to the hello.
@@ -82,14 +84,8 @@ pub(super) fn read_hello(answer: &[u8], taken: &DenoiserInputs) -> Result<Denois
     let precision = Precision::named(text("dtype"));
     let precision = precision
         .ok_or_else(|| ProtocolError::new("`dtype` \"F32\", \"F16\" or \"BF16\"", answer.quoted("dtype")))?;
-    let is_guided = match answer.texts.get("guidance").map(String::as_str) {
-        None | Some("false") => false,
-        Some("true") => true,
-        Some(_) => {
-            let expected = "`guidance` \"true\" or \"false\"";
-            return Err(ProtocolError::new(expected, answer.quoted("guidance")));
-        }
-    };
+    let is_guided = flag(&answer, "guidance")?;
+    let keeps_frames = flag(&answer, "frames")?;
     // Half of the limit leaves room for the header.
     let most = (MAX_ANSWER_BYTES / 2) as usize / size_of::<f32>() / taken.window.max(1);
     let most_latents = if is_guided { most / 2 } else { most };
@@ -108,7 +104,19 @@ pub(super) fn read_hello(answer: &[u8], taken: &DenoiserInputs) -> Result<Denois
             ProtocolError::new(expected, answer.quoted("image_size"))
         })
     });
-    Ok(DenoiserOutputs { shape, precision, images: images.transpose()?, is_guided })
+    Ok(DenoiserOutputs { shape, precision, images: images.transpose()?, is_guided, keeps_frames })
+}
+
+/// Parses an optional `true` or `false`.
+fn flag(answer: &Answer<'_>, name: &str) -> Result<bool, ProtocolError> {
+    match answer.texts.get(name).map(String::as_str) {
+        None | Some("false") => Ok(false),
+        Some("true") => Ok(true),
+        Some(_) => {
+            let expected = format!("`{name}` \"true\" or \"false\"");
+            Err(ProtocolError::new(expected, answer.quoted(name)))
+        }
+    }
 }
 
 /// Parses `H,W`, two positive numbers.

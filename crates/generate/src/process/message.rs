@@ -9,15 +9,16 @@ use crate::DenoiserError;
 /// Maximum length of quoted texts of a denoiser, characters.
 const SHOWN: usize = 200;
 
-/// A tensor to send, as consecutive parts (one per frame).
-pub(crate) struct Values<'a> {
+/// A tensor to send: little-endian numbers.
+pub(crate) struct Tensor {
+    pub(crate) dtype: Dtype,
     pub(crate) shape: Vec<usize>,
-    pub(crate) parts: Vec<&'a [f32]>,
+    pub(crate) bytes: Vec<u8>,
 }
 
-impl View for Values<'_> {
+impl View for Tensor {
     fn dtype(&self) -> Dtype {
-        Dtype::F32
+        self.dtype
     }
 
     fn shape(&self) -> &[usize] {
@@ -25,30 +26,40 @@ impl View for Values<'_> {
     }
 
     fn data(&self) -> Cow<'_, [u8]> {
-        let mut bytes = Vec::with_capacity(self.data_len());
-        for part in &self.parts {
-            bytes.extend(part.iter().flat_map(|value| value.to_le_bytes()));
-        }
-        bytes.into()
+        Cow::Borrowed(&self.bytes)
     }
 
     fn data_len(&self) -> usize {
-        self.parts.iter().map(|part| size_of_val(*part)).sum()
+        self.bytes.len()
+    }
+}
+
+impl Tensor {
+    pub(crate) fn of_f64(shape: Vec<usize>, values: impl Iterator<Item = f64>) -> Self {
+        Self { dtype: Dtype::F64, shape, bytes: values.flat_map(f64::to_le_bytes).collect() }
+    }
+
+    pub(crate) fn of_f32(shape: Vec<usize>, values: impl Iterator<Item = f32>) -> Self {
+        Self { dtype: Dtype::F32, shape, bytes: values.flat_map(f32::to_le_bytes).collect() }
+    }
+
+    pub(crate) fn of_bytes(shape: Vec<usize>, bytes: Vec<u8>) -> Self {
+        Self { dtype: Dtype::U8, shape, bytes }
     }
 }
 
 /// Serializes texts and tensors as a message.
-pub(crate) fn message<V: View>(
+pub(crate) fn message(
     texts: impl IntoIterator<Item = (&'static str, String)>,
-    tensors: impl IntoIterator<Item = (&'static str, V)>,
+    tensors: impl IntoIterator<Item = (&'static str, Tensor)>,
 ) -> Result<Vec<u8>, DenoiserError> {
     serialized(texts, tensors).map_err(|error| DenoiserError::Network(error.into()))
 }
 
 /// Serializes texts and tensors.
-pub(crate) fn serialized<V: View>(
+pub(crate) fn serialized(
     texts: impl IntoIterator<Item = (&'static str, String)>,
-    tensors: impl IntoIterator<Item = (&'static str, V)>,
+    tensors: impl IntoIterator<Item = (&'static str, Tensor)>,
 ) -> Result<Vec<u8>, SafeTensorError> {
     let texts = texts.into_iter().map(|(name, text)| (name.to_owned(), text)).collect();
     serialize(tensors, Some(texts))

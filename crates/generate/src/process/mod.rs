@@ -7,6 +7,7 @@ pub(crate) mod connection;
 pub(crate) mod hello;
 pub(crate) mod message;
 mod rig;
+mod sent;
 
 use std::sync::Arc;
 
@@ -18,6 +19,7 @@ use self::codec::ProcessCodec;
 use self::connection::Shared;
 use self::hello::{DenoiserInputs, DenoiserOutputs, hello, read_hello};
 pub use self::rig::DenoiserRig;
+use self::sent::SentFrames;
 use super::denoiser::predict_twice;
 use super::{
     Codec, Denoiser, DenoiserError, DroppedConditions, Frame, FrameConditions, GenerateOptions,
@@ -32,6 +34,8 @@ pub struct ProcessDenoiser {
     given: DenoiserOutputs,
     /// Number of calls so far.
     calls: u64,
+    /// Conditions that the process keeps; `None` if it keeps none.
+    sent: Option<SentFrames>,
 }
 
 impl ProcessDenoiser {
@@ -51,7 +55,8 @@ impl ProcessDenoiser {
         let taken = DenoiserInputs { window: options.window, views, size, sampler: options.sampler };
         let shared = Arc::new(Shared::open(spec)?);
         let given = shared.ask(hello(&taken, rig)?, |answer| read_hello(answer, &taken))?;
-        Ok(Self { shared, taken, given, calls: 0 })
+        let sent = given.keeps_frames.then(SentFrames::default);
+        Ok(Self { shared, taken, given, calls: 0, sent })
     }
 
     /// Returns the codec of its latents and the image size: the process itself if it announced that, else a
@@ -79,7 +84,7 @@ impl ProcessDenoiser {
         self.check(window)?;
         let (call, given) = (self.calls, self.given);
         self.calls += 1;
-        let request = request(window, given.shape, call, dropped)?;
+        let request = request(window, given.shape, call, dropped, self.sent.as_mut())?;
         self.shared.ask(request, |answer| read(answer, given, window.len(), call))
     }
 

@@ -7,7 +7,7 @@ use point_skeleton::raster::{RasterizerDesc, RasterizerKind};
 use point_skeleton::skeleton::BuildOptions;
 use point_skeleton::{RenderOptions, Renderer};
 use pskel_generate::{Conditioner, Recipe};
-use pskel_sim::{EgoPolicy, Forecast, Rates, Scenario, SimOptions, Simulation};
+use pskel_sim::{EgoPolicy, Forecast, Instant, Rates, Scenario, SimOptions, Simulation, scene_state};
 use pskel_testing::shared::skeleton_of;
 use pskel_testing::tiny_log::TinyLog;
 
@@ -25,7 +25,7 @@ fn forecasts_continue_after_the_end_of_the_log() {
     let mut renderer = Renderer::new(&skeleton, render).unwrap();
     let size = ImageSize { height: 16, width: 24 };
     let recipe = Recipe { drawn: size, size, ..Recipe::default() };
-    let conditioner = Conditioner::new(log, None, &recipe, "");
+    let conditioner = Conditioner::new(&recipe, false, "");
     let end_us = log.frames[log.frames.len() - 1].t_us;
     let scenario = Scenario { log, map: None, rates: Rates { sim_hz: 10.0, plan_hz: 5.0 } };
     for ego in [EgoPolicy::Straight, EgoPolicy::Replay] {
@@ -34,8 +34,11 @@ fn forecasts_continue_after_the_end_of_the_log() {
         let mut seen = Vec::new();
         loop {
             let now_us = simulation.committed().get().t_us;
-            let (now, expected) = (simulation.committed(), simulation.forecast(3));
-            let forecasts = conditioner.forecasts(now, &expected, &mut renderer).unwrap();
+            let state = |instant: &Instant| scene_state(log, instant, None);
+            let now = simulation.committed().map(state);
+            let expected: Vec<_> =
+                simulation.forecast(3).into_iter().map(|next| next.map(|next| state(&next))).collect();
+            let forecasts = conditioner.forecasts(now.as_ref(), &expected, &mut renderer).unwrap();
             seen.push((now_us > end_us, forecasts.len()));
             // The window is not frozen: the ego moves in each forecast.
             assert!(forecasts.iter().all(|forecast: &Forecast<_>| forecast.get().action[0] > 0.1));

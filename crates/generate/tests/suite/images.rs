@@ -4,17 +4,19 @@ use std::path::{Path, PathBuf};
 
 use image::RgbImage;
 use point_skeleton::conditions::{ConditionOptions, MapKind, MapSet};
-use point_skeleton::dataset::LogReader;
+use point_skeleton::dataset::{LogReader, Recording};
 use point_skeleton::geometry::ImageSize;
 use point_skeleton::raster::{RasterizerDesc, RasterizerKind};
-use point_skeleton::scene::GroundTruthImages;
+use point_skeleton::scene::{GroundTruthImages, SceneState};
 use point_skeleton::skeleton::{BuildOptions, Skeleton};
 use point_skeleton::{RenderOptions, Renderer};
-use pskel_generate::{GenerationScene, ImageProcess, ImageProcessError, ImageRig, ImageSession, Recipe};
+use pskel_generate::{
+    DenoiserRig, GenerationScene, ImageProcess, ImageProcessError, ImageRig, ImageSession, Recipe,
+};
 use pskel_sim::peer::{PeerAddress, PeerError, PeerSpec};
 use pskel_sim::report::images::StepImages;
 use pskel_sim::rollout::ImageGenerator;
-use pskel_sim::{EgoPolicy, Rates, Scenario, SimOptions, Simulation, scene_state};
+use pskel_sim::{Committed, EgoPolicy, Rates, Scenario, SimOptions, Simulation, scene_state};
 use pskel_testing::shared::skeleton_of;
 use pskel_testing::six_cameras::{self, FRAMES};
 
@@ -69,7 +71,8 @@ impl Scene {
     }
 
     fn start(&self, address: PeerAddress, timeout_s: f64) -> Result<ImageProcess, ImageProcessError> {
-        let rig = ImageRig { log: self.log.recording(), has_map: false, fps: 5.0, seed: 7 };
+        let (rig, log) = (DenoiserRig::of(self.log.recording(), 5.0), "town-3".to_owned());
+        let rig = ImageRig { log, rig, has_map: false, seed: 7 };
         ImageProcess::start(&PeerSpec { address, timeout_s }, recipe(), &rig)
     }
 
@@ -79,11 +82,10 @@ impl Scene {
 
     fn generation(&self) -> GenerationScene<'_> {
         GenerationScene {
-            log: self.log.recording(),
-            map: None,
+            has_map: false,
             prompt: "a street".to_owned(),
             captions: None,
-            truth: GroundTruthImages::new(&self.log),
+            truth: Some(GroundTruthImages::new(&self.log)),
             ego_follows_log: false,
             actors_follow_log: true,
         }
@@ -98,12 +100,17 @@ impl Scene {
     }
 }
 
+fn shown(simulation: &Simulation<'_>, log: &Recording) -> Committed<SceneState> {
+    simulation.committed().map(|instant| scene_state(log, instant, None))
+}
+
 fn recipe() -> Recipe {
     Recipe { drawn: SIZE, size: SIZE, ..Recipe::default() }
 }
 
 /// Drives on to the end; returns the images of each step, and what was saved with it.
 fn drive(
+    log: &Recording,
     simulation: &mut Simulation<'_>,
     session: &mut ImageSession<'_>,
     renderer: &mut Renderer<'_>,
@@ -111,8 +118,10 @@ fn drive(
     let mut all = Vec::new();
     loop {
         let frame = simulation.committed().get().step;
-        let expected = simulation.forecast(session.forecasts());
-        let made = session.generate(frame, simulation.committed(), &expected, renderer).unwrap().unwrap();
+        let expected = simulation.forecast(session.forecasts()).into_iter();
+        let expected: Vec<_> = expected.map(|next| next.map(|next| scene_state(log, &next, None))).collect();
+        let now = shown(simulation, log);
+        let made = session.generate(frame, now.as_ref(), &expected, renderer).unwrap().unwrap();
         all.push((made, session.save().unwrap()));
         if simulation.step().unwrap().is_none() {
             return all;
@@ -152,11 +161,11 @@ fn images_follow_the_color_maps_and_the_earlier_images() {
     let process = scene.start(script(&scene.path(), COLOR), PATIENT_S).unwrap();
     assert_eq!((process.size(), process.window(), process.forecasts()), (SIZE, 3, 4));
     let mut session = scene.session(process);
-    let whole = drive(&mut scene.simulation(), &mut session, &mut renderer);
+    let log = scene.log.recording();
+    let whole = drive(log, &mut scene.simulation(), &mut session, &mut renderer);
     assert_eq!(whole.len(), 13);
 
     // The expected images, from the maps of a renderer.
-    let log = scene.log.recording();
     let options = ConditionOptions { maps: MapSet::of(&[MapKind::Color]), ..recipe().options(false) };
     let maps = point_skeleton::MapOptions::new(options, recipe().selection());
     let mut simulation = scene.simulation();
@@ -186,13 +195,13 @@ fn images_follow_the_color_maps_and_the_earlier_images() {
         let mut session = scene.session(process);
         let (mut simulation, mut last) = (scene.simulation(), Vec::new());
         for _ in 0..=after {
-            last.push(simulation.committed().map(Clone::clone));
+            last.push(shown(&simulation, log));
             simulation.step().unwrap();
         }
         let window = last.len().saturating_sub(session.window());
         let saved = whole[after].1.as_deref();
         session.resume(after + 1, &last[window..], saved, &mut renderer).unwrap();
-        let rest = drive(&mut simulation, &mut session, &mut renderer);
+        let rest = drive(log, &mut simulation, &mut session, &mut renderer);
         assert!(rest == whole[after + 1..], "after {after}");
         // Another frame's state is refused.
         let (process, mut renderer) =
@@ -238,6 +247,7 @@ fn bad_hellos_are_errors() {
 fn bad_images_are_errors_and_end_the_session() {
     let scene = Scene::new();
     let mut renderer = scene.renderer();
+    let now = |simulation: &Simulation<'_>| shown(simulation, scene.log.recording());
     let bytes = 6 * 24 * 40 * 3;
     for (answer, part) in [
         (format!("say(images=('F32', SHAPE, bytes(4 * {bytes})))"), "`images` as U8 from"),
@@ -253,11 +263,13 @@ fn bad_images_are_errors_and_end_the_session() {
         let lines = format!("see()\nsay(HELLO)\nsee()\n{answer}\ntime.sleep(600)");
         let mut session = scene.session(scene.start(script(&scene.path(), &lines), PATIENT_S).unwrap());
         let mut simulation = scene.simulation();
-        session.generate(0, simulation.committed(), &[], &mut renderer).unwrap();
+        session.generate(0, now(&simulation).as_ref(), &[], &mut renderer).unwrap();
         simulation.step().unwrap();
-        let error = session.generate(1, simulation.committed(), &[], &mut renderer).unwrap_err().to_string();
+        let error =
+            session.generate(1, now(&simulation).as_ref(), &[], &mut renderer).unwrap_err().to_string();
         assert!(error.contains(part), "{answer}: {error}");
-        let again = session.generate(1, simulation.committed(), &[], &mut renderer).unwrap_err().to_string();
+        let again =
+            session.generate(1, now(&simulation).as_ref(), &[], &mut renderer).unwrap_err().to_string();
         assert!(again.contains("found its end"), "{again}");
     }
 }

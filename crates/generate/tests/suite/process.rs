@@ -1,6 +1,7 @@
 //! Denoisers in Python.
 
 mod failures;
+mod numbers;
 
 use std::os::unix::net::UnixListener;
 use std::path::{Path, PathBuf};

@@ -9,17 +9,13 @@ use point_skeleton::Log;
 use point_skeleton::conditions::{Captions, FrameCaptions};
 use point_skeleton::dataset::Recording;
 use point_skeleton::error::FileError;
-use point_skeleton::files::json;
 use point_skeleton::files::text::printable;
 use point_skeleton::named::{Named, UnknownName};
 use pskel_generate::{
-    ConditionKind, DenoiserRig, GenerationScene, Guidance, GuidedConditions, ImageProcess, ImageRig,
-    ImageSession, Preset, Recipe, SamplerOptions, Strategy,
+    ConditionKind, DenoiserRig, Guidance, GuidedConditions, Preset, Recipe, SamplerOptions, Strategy,
 };
-use pskel_network::{DEFAULT_WINDOW, GeneratorSettings, NetworkName, OpenedNetwork};
-use pskel_sim::peer::{MAX_TIMEOUT_S, PeerAddress, PeerError, PeerSpec};
-use pskel_sim::rollout::ImageGenerator;
-use serde_json::Value;
+use pskel_network::{DEFAULT_WINDOW, GeneratorName, GeneratorSettings, NetworkName, OpenedGenerator};
+use pskel_sim::peer::MAX_TIMEOUT_S;
 
 use super::names::names;
 use super::numbers::finite;
@@ -173,24 +169,12 @@ impl GeneratorArgs {
     /// Opens or starts the generator for a log, `fps` frames per second; `None` without `--generator`.
     pub(crate) fn open(&self, log: &Log, fps: f64) -> anyhow::Result<Option<OpenedGenerator>> {
         let Some(name) = &self.generator else { return Ok(None) };
-        let settings = self.settings()?;
-        Ok(Some(match name {
-            GeneratorName::Network(name) => {
-                let opened = settings.open(name, &DenoiserRig::of(log.recording(), fps));
-                OpenedGenerator::Network(Box::new(opened.map_err(|error| match error.is_usage() {
-                    true => WrongUsage(error.to_string()).into(),
-                    false => anyhow::Error::from(error),
-                })?))
-            }
-            GeneratorName::Images(address) => {
-                let whole = || Recipe { size: Recipe::default().drawn, ..Recipe::default() };
-                let spec = PeerSpec { address: address.clone(), timeout_s: settings.timeout_s };
-                let (has_map, seed) = (log.map().is_some(), settings.noise_seed);
-                let rig = ImageRig { log: log.recording(), has_map, fps, seed };
-                let recipe = settings.recipe.unwrap_or_else(whole);
-                OpenedGenerator::Process(Box::new(ImageProcess::start(&spec, recipe, &rig)?), name.clone())
-            }
-        }))
+        let rig = DenoiserRig::of(log.recording(), fps);
+        let opened = self.settings()?.open_generator(name, rig, log.name(), log.map().is_some());
+        opened.map(Some).map_err(|error| match error.is_usage() {
+            true => WrongUsage(error.to_string()).into(),
+            false => error.into(),
+        })
     }
 
     /// Reads the captions of a log.
@@ -227,7 +211,7 @@ impl GeneratorArgs {
         let default_guidance = preset.as_ref().map_or(1.0, |preset| preset.guidance);
         let recipe = match (&preset, &self.recipe) {
             (Some(preset), _) => Some(preset.recipe.clone()),
-            (None, Some(path)) => Some(read_recipe(path)?),
+            (None, Some(path)) => Some(Recipe::read(path)?),
             (None, None) => None,
         };
         let dropped = self.guide.unwrap_or_default().into();
@@ -244,94 +228,6 @@ impl GeneratorArgs {
             recipe,
             timeout_s: self.generator_timeout.unwrap_or(defaults.timeout_s),
         })
-    }
-}
-
-/// Name of a generator.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub(crate) enum GeneratorName {
-    /// A network, by a sampler of this program.
-    Network(NetworkName),
-    /// A process that makes whole images.
-    Images(PeerAddress),
-}
-
-/// A generator that is opened for a log.
-pub(crate) enum OpenedGenerator {
-    /// A network, by a sampler of this program.
-    Network(Box<OpenedNetwork>),
-    /// A process that makes whole images, and its name.
-    Process(Box<ImageProcess>, GeneratorName),
-}
-
-impl OpenedGenerator {
-    /// Returns the number of frames in the window.
-    pub(crate) fn window(&self) -> usize {
-        match self {
-            Self::Network(network) => network.window(),
-            Self::Process(process, _) => process.window(),
-        }
-    }
-
-    /// Returns how many of the next planning steps it takes as forecasts, at most.
-    pub(crate) fn forecasts(&self) -> usize {
-        match self {
-            Self::Network(network) => network.window(),
-            Self::Process(process, _) => process.forecasts(),
-        }
-    }
-
-    /// Returns generator and options for `rollout.json`.
-    pub(crate) fn record(&self) -> serde_json::Result<Value> {
-        match self {
-            Self::Network(network) => serde_json::to_value(network.report()),
-            Self::Process(process, name) => {
-                let mut record = serde_json::to_value(process)?;
-                if let Some(fields) = record.as_object_mut() {
-                    fields.insert("process".to_owned(), name.to_string().into());
-                }
-                Ok(record)
-            }
-        }
-    }
-
-    /// Returns a line for the web page.
-    pub(crate) fn fact(&self) -> String {
-        match self {
-            Self::Network(network) => network.report().fact(),
-            Self::Process(process, name) => format!("images of {} by {name}", process.size()),
-        }
-    }
-
-    /// Starts a rollout.
-    pub(crate) fn session<'a>(
-        self,
-        scene: GenerationScene<'a>,
-    ) -> anyhow::Result<Box<dyn ImageGenerator + 'a>> {
-        Ok(match self {
-            Self::Network(network) => Box::new(network.session(&scene)?),
-            Self::Process(process, _) => Box::new(ImageSession::new(*process, scene)),
-        })
-    }
-}
-
-impl fmt::Display for GeneratorName {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Network(name) => name.fmt(f),
-            Self::Images(address) => write!(f, "images:{address}"),
-        }
-    }
-}
-
-impl FromStr for GeneratorName {
-    type Err = String;
-
-    fn from_str(text: &str) -> Result<Self, String> {
-        match text.strip_prefix("images:") {
-            Some(address) => address.parse().map(Self::Images).map_err(|error: PeerError| error.to_string()),
-            None => text.parse().map(Self::Network).map_err(|error| format!("{error}, or images:..")),
-        }
     }
 }
 
@@ -380,12 +276,6 @@ impl FromStr for StrategyArg {
             strategy => Self { strategy, clean: number },
         })
     }
-}
-
-fn read_recipe(path: &Path) -> Result<Recipe, FileError> {
-    let recipe: Recipe = json::read(path, "a recipe of conditions")?;
-    recipe.check().map_err(|error| FileError::content(error.expected, error.found, path))?;
-    Ok(recipe)
 }
 
 /// Parses a factor from 0 to 100.

@@ -148,7 +148,12 @@ impl DriveArgs {
                 None => open_generator(&args, &inputs.log, hz)?.ok_or("there is no generator")?,
             };
             let follow_log = [false, actors_follow_log];
-            Ok(opened.session(&inputs.log, inputs.log.map(), &PromptParts::default(), follow_log)?)
+            Ok(opened.session(
+                &inputs.log,
+                inputs.log.map().is_some(),
+                &PromptParts::default(),
+                follow_log,
+            )?)
         });
         Ok(Some(LiveGenerator { name, hz, window, forecasts, arguments, record, fact, open }))
     }

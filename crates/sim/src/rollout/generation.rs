@@ -6,17 +6,17 @@ use std::path::Path;
 use std::sync::Arc;
 
 use point_skeleton::Renderer;
-use point_skeleton::dataset::Recording;
 use point_skeleton::error::FileError;
 use point_skeleton::files::input::{is_there, read_table};
 use point_skeleton::files::write_whole;
+use point_skeleton::scene::SceneState;
 
 use super::error::RolloutError;
 use super::generator::{GenerationTimes, ImageGenerator};
 use super::output::files::{GENERATOR_STATE, STATE, step_folder};
 use crate::report::images::{self, GENERATED, StepImages, TRUTH};
 use crate::report::{StepRow, view};
-use crate::{SavedState, Scenario, SimOptions, Simulation};
+use crate::{Instant, SavedState, Scenario, SimOptions, Simulation, scene_state};
 
 /// The generator and its latest images.
 pub(super) struct Generation<'a> {
@@ -71,13 +71,13 @@ impl<'a> Generation<'a> {
             let path = step_folder(folder, &row.name()).join(STATE);
             let saved = SavedState::read(&path)?;
             let instant = saved.committed(scenario, options).map_err(RolloutError::file(&path))?;
-            Ok::<_, RolloutError>(instant.map(|instant| instant.hiding(scenario.log, &hide)))
+            Ok::<_, RolloutError>(instant.map(|instant| shown(scenario, &hide, &instant)))
         };
-        let instants = plan_rows[first..].iter().map(instant).collect::<Result<Vec<_>, _>>()?;
+        let states = plan_rows[first..].iter().map(instant).collect::<Result<Vec<_>, _>>()?;
         let last = step_folder(folder, &last.name());
         let path = last.join(GENERATOR_STATE);
         let state = is_there(&path)?.then(|| read_table(&path)).transpose()?;
-        let resumed = generator.resume(plan_rows.len(), &instants, state.as_deref(), renderer);
+        let resumed = generator.resume(plan_rows.len(), &states, state.as_deref(), renderer);
         resumed.map_err(RolloutError::file(&path))?;
         let cameras: Vec<_> = scenario.log.rig.iter().map(|rig| rig.camera.name.clone()).collect();
         let latest = images::read(&last, &cameras)?.map(Arc::new);
@@ -89,17 +89,17 @@ impl<'a> Generation<'a> {
     pub(super) fn step(
         &mut self,
         simulation: &Simulation<'_>,
-        log: &Recording,
+        scenario: &Scenario<'_>,
         renderer: &mut Renderer<'_>,
         name: &str,
     ) -> Result<Option<Images>, RolloutError> {
         let at = || RolloutError::step(name);
         let (step, per_plan) = (simulation.committed().get().step, simulation.steps_per_plan());
         let generated = if step.is_multiple_of(per_plan) {
-            let now = simulation.committed().map(|instant| instant.hiding(log, &self.hide));
+            let now = simulation.committed().map(|instant| shown(scenario, &self.hide, instant));
             let expected = simulation.forecast(self.generator.forecasts()).into_iter();
             let expected: Vec<_> =
-                expected.map(|next| next.map(|next| next.hiding(log, &self.hide))).collect();
+                expected.map(|next| next.map(|next| shown(scenario, &self.hide, &next))).collect();
             self.generator.generate(step / per_plan, now.as_ref(), &expected, renderer).map_err(at())?
         } else {
             None
@@ -118,6 +118,11 @@ impl<'a> Generation<'a> {
     pub(super) fn maps(&self) -> Vec<&'static str> {
         [GENERATED].into_iter().chain(self.generator.has_truth().then_some(TRUTH)).collect()
     }
+}
+
+/// Returns the state of an instant without hidden actors.
+fn shown(scenario: &Scenario<'_>, hide: &BTreeSet<String>, instant: &Instant) -> SceneState {
+    scene_state(scenario.log, instant, scenario.map.clone()).hiding(hide)
 }
 
 impl Images {

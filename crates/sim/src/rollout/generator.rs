@@ -1,9 +1,11 @@
+use image::RgbImage;
 use point_skeleton::Renderer;
+use point_skeleton::scene::SceneState;
 use serde::Serialize;
 
 use super::error::AnyError;
 use crate::report::images::StepImages;
-use crate::{Committed, Forecast, Instant};
+use crate::{Committed, Forecast};
 
 /// Generates the camera images of a rollout, one set of images per planning step.
 pub trait ImageGenerator {
@@ -18,10 +20,23 @@ pub trait ImageGenerator {
     fn generate(
         &mut self,
         frame: usize,
-        now: Committed<&Instant>,
-        expected: &[Forecast<Instant>],
+        now: Committed<&SceneState>,
+        expected: &[Forecast<SceneState>],
         renderer: &mut Renderer<'_>,
     ) -> Result<Option<StepImages>, AnyError>;
+
+    /// Takes given images of a committed planning step as a reference, in place of recorded ones. All
+    /// references come before the first [`ImageGenerator::generate`].
+    ///
+    /// # Errors
+    /// Fails if there are enough references, if the images have another size, and as
+    /// [`ImageGenerator::generate`].
+    fn add_reference(
+        &mut self,
+        now: Committed<&SceneState>,
+        images: Vec<RgbImage>,
+        renderer: &mut Renderer<'_>,
+    ) -> Result<(), AnyError>;
 
     /// Durations of the last generated images.
     fn times(&self) -> GenerationTimes;
@@ -42,7 +57,7 @@ pub trait ImageGenerator {
     fn resume(
         &mut self,
         frames: usize,
-        last: &[Committed<Instant>],
+        last: &[Committed<SceneState>],
         saved: Option<&[u8]>,
         renderer: &mut Renderer<'_>,
     ) -> Result<(), AnyError>;

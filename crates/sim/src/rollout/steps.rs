@@ -247,7 +247,7 @@ impl Loop<'_, '_, '_, '_> {
             let name = state.name.clone();
             let images = match &mut self.generation {
                 Some(generation) => {
-                    generation.step(&self.simulation, self.steps.scenario.log, self.renderer, &name)?
+                    generation.step(&self.simulation, self.steps.scenario, self.renderer, &name)?
                 }
                 None => None,
             };

@@ -1,17 +1,19 @@
 //! Rendering of a scene: conditions, forecasts and ground truth of each frame.
 
 use std::path::Path;
+use std::sync::Arc;
 
 use image::RgbImage;
 use point_skeleton::conditions::{CameraConditions, ConditionSet, MapKind};
 use point_skeleton::dataset::Recording;
 use point_skeleton::raster::RasterizerDesc;
-use point_skeleton::scene::{GroundTruthImages, SubstituteOptions};
+use point_skeleton::scene::{GroundTruthImages, SceneMap, SubstituteOptions};
 use point_skeleton::skeleton;
 use point_skeleton::{Log, RenderOptions, Renderer};
 use pskel_generate::{Conditioner, FrameConditions, Recipe, RenderedConditions};
 use pskel_sim::{
     ActorPolicy, Committed, EgoPolicy, Forecast, Instant, Rates, Scenario, SimOptions, Simulation,
+    scene_state,
 };
 
 use super::error::AblationError;
@@ -69,9 +71,9 @@ impl Scene {
         let mut renderer = Renderer::new(&skeleton, render)?;
         let map = source.require_map()?;
         let scenario = Scenario { log, map: map.clone(), rates: Rates::default() };
-        let conditioner = Conditioner::new(log, map, options.recipe, "").with_maps(&[MapKind::Instance]);
+        let conditioner = Conditioner::new(options.recipe, map.is_some(), "").with_maps(&[MapKind::Instance]);
         let simulation = Simulation::new(&scenario, sim_options(options, ego_of(source)))?;
-        let drive = Drive { log: source, conditioner: &conditioner, options };
+        let drive = Drive { log: source, map, conditioner: &conditioner, options };
         let frames = drive.frames(simulation, &mut renderer)?;
         Ok(Self { name: name.to_owned(), frames })
     }
@@ -115,7 +117,8 @@ fn sim_options(options: &SceneOptions<'_>, ego: EgoPolicy) -> SimOptions {
 
 struct Drive<'a> {
     log: &'a Log,
-    conditioner: &'a Conditioner<'a>,
+    map: Option<Arc<SceneMap>>,
+    conditioner: &'a Conditioner,
     options: &'a SceneOptions<'a>,
 }
 
@@ -130,9 +133,12 @@ impl Drive<'_> {
         while frames.len() < count {
             let instant = (*simulation.committed().get()).clone();
             if instant.step.is_multiple_of(simulation.steps_per_plan()) {
-                let drawn = self.conditioner.committed(simulation.committed(), before, renderer)?;
-                let expected = simulation.forecast(self.options.references);
-                let forecasts = self.conditioner.forecasts(simulation.committed(), &expected, renderer)?;
+                let state = |instant: &Instant| scene_state(self.log.recording(), instant, self.map.clone());
+                let now = simulation.committed().map(state);
+                let expected = simulation.forecast(self.options.references).into_iter();
+                let expected: Vec<_> = expected.map(|next| next.map(|next| state(&next))).collect();
+                let drawn = self.conditioner.committed(now.as_ref(), before, renderer)?;
+                let forecasts = self.conditioner.forecasts(now.as_ref(), &expected, renderer)?;
                 let t_s = (instant.t_us - *first_us.get_or_insert(instant.t_us)) as f64 / 1e6;
                 frames.push(self.frame(drawn, forecasts, &instant, t_s)?);
                 before = Some(instant.ego.pose);

@@ -13,7 +13,7 @@ use point_skeleton::geometry::Camera;
 use point_skeleton::raster::{RasterizerDesc, RasterizerKind};
 use point_skeleton::skeleton::{BuildOptions, BuildReport, Skeleton, SkeletonWriter};
 use point_skeleton::{RenderOptions, Renderer};
-use pskel_sim::{Rates, Scenario, SimOptions, Simulation};
+use pskel_sim::{Instant, Rates, Scenario, SimOptions, Simulation, scene_state};
 
 const SIZE: ImageSize = ImageSize { height: 4, width: 8 };
 const SHAPE: LatentShape = LatentShape { views: 1, channels: 12, height: 2, width: 4 };
@@ -121,8 +121,8 @@ fn parts(drive: &Grey, calls_before: Option<usize>) -> SessionParts<'_> {
     let recipe = Recipe { drawn: ImageSize { height: 8, width: 16 }, size: SIZE, ..Recipe::default() };
     let codec = PixelCodec::new(SHAPE).unwrap();
     SessionParts {
-        conditioner: Conditioner::new(&drive.0, None, &recipe, ""),
-        truth: GroundTruthImages::new(drive),
+        conditioner: Conditioner::new(&recipe, false, ""),
+        truth: Some(GroundTruthImages::new(drive)),
         ego_follows_log: true,
         actors_follow_log: true,
         codec: Box::new(FailsOnce { codec, calls_before: Cell::new(calls_before) }),
@@ -159,8 +159,11 @@ fn failed_sessions_reject_further_steps() {
                 if !simulation.committed().get().step.is_multiple_of(simulation.steps_per_plan()) {
                     break;
                 }
-                let expected = simulation.forecast(session.forecasts());
-                match session.step(simulation.committed(), &expected, &mut renderer) {
+                let state = |instant: &Instant| scene_state(&drive.0, instant, None);
+                let expected = simulation.forecast(session.forecasts()).into_iter();
+                let expected: Vec<_> = expected.map(|next| next.map(|next| state(&next))).collect();
+                let now = simulation.committed().map(state);
+                match session.step(now.as_ref(), &expected, &mut renderer) {
                     Ok(_) => {
                         made += 1;
                         break;

@@ -98,7 +98,7 @@ pub(crate) fn rollout(args: SimulateArgs) -> anyhow::Result<String> {
     };
     let mut renderer = Renderer::new(skeleton, render)?;
     let generate =
-        |opened: Opened| opened.session(&inputs.log, inputs.map.clone(), &inputs.prompt, args.follow_log());
+        |opened: Opened| opened.session(&inputs.log, inputs.map.is_some(), &inputs.prompt, args.follow_log());
     let mut generator = opened.map(generate).transpose()?;
     let mut progress = Progress::new(rollout.steps_left());
     let mut on_step = |name: &str| progress.step(name);

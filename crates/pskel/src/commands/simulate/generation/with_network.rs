@@ -1,15 +1,13 @@
-use std::sync::Arc;
-
 use point_skeleton::Log;
 use point_skeleton::conditions::FrameCaptions;
 use point_skeleton::conditions::write::meta::PromptParts;
-use point_skeleton::scene::{GroundTruthImages, SceneMap};
+use point_skeleton::scene::GroundTruthImages;
 use pskel_generate::{ClipImages, GenerationScene, ImportSession};
+use pskel_network::OpenedGenerator;
 use pskel_sim::rollout::ImageGenerator;
 use serde_json::{Value, json};
 
 pub(crate) use crate::args::generator::GeneratorArgs;
-use crate::args::generator::OpenedGenerator;
 
 /// Images of another program in the place of generated ones.
 pub(crate) type GivenImages = Option<ClipImages>;
@@ -82,27 +80,21 @@ impl Opened {
     pub(crate) fn session<'a>(
         self,
         log: &'a Log,
-        map: Option<Arc<SceneMap>>,
+        has_map: bool,
         prompt: &PromptParts,
         follow_log: [bool; 2],
     ) -> anyhow::Result<Box<dyn ImageGenerator + 'a>> {
-        let (log, truth) = (log.recording(), GroundTruthImages::new(log.reader()));
+        let truth = GroundTruthImages::new(log.reader());
         let (opened, captions) = match self {
             Self::Generator(opened, captions) => (opened, captions),
             Self::Images(images) => {
-                return Ok(Box::new(ImportSession::new(images, log, map, truth, follow_log)));
+                return Ok(Box::new(ImportSession::new(images, truth, follow_log)));
             }
         };
         let [ego_follows_log, actors_follow_log] = follow_log;
         let prompt = prompt.prompt().unwrap_or_default();
-        opened.session(GenerationScene {
-            log,
-            map,
-            prompt,
-            captions,
-            truth,
-            ego_follows_log,
-            actors_follow_log,
-        })
+        let truth = Some(truth);
+        let scene = GenerationScene { has_map, prompt, captions, truth, ego_follows_log, actors_follow_log };
+        Ok(opened.session(scene)?)
     }
 }

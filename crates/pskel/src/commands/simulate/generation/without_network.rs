@@ -1,10 +1,8 @@
 use std::path::Path;
-use std::sync::Arc;
 
 use clap::Args;
 use point_skeleton::Log;
 use point_skeleton::conditions::write::meta::PromptParts;
-use point_skeleton::scene::SceneMap;
 use pskel_sim::rollout::ImageGenerator;
 use serde_json::Value;
 
@@ -74,7 +72,7 @@ impl Opened {
     pub(crate) fn session<'a>(
         self,
         _log: &'a Log,
-        _map: Option<Arc<SceneMap>>,
+        _has_map: bool,
         _prompt: &PromptParts,
         _follow_log: [bool; 2],
     ) -> anyhow::Result<Box<dyn ImageGenerator + 'a>> {
