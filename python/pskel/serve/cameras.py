@@ -165,7 +165,8 @@ def _ftheta(param: sensorsim_pb2.FthetaCameraParam, size: tuple[int, int], scale
     intrinsics = np.array([[focal, 0.0, center[0]], [0.0, focal, center[1]], [0.0, 0.0, 1.0]])
 
     def lens(xy: Array) -> Array:
-        return angles.positions(xy) @ stretch.T * scale[0] + center
+        moved: Array = angles.positions(xy) @ stretch.T * scale[0] + center
+        return moved
 
     return _remapped(intrinsics, size, _rays(plane, angles), lens)
 

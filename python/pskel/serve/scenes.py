@@ -35,7 +35,7 @@ class Scene:
         self.skeleton = skeleton
         self.renderer = pskel.Renderer(skeleton, maps=["color", "depth"], log=log.name, splat=splat)
         frames = [log[index] for index in range(len(log))]
-        first = log.at(log.times_us[0])
+        self.first = first = log.at(log.times_us[0])
         self.trajectory = [(scene.t_us, scene.ego) for scene in frames]
         self.origin = poses.local_origin(first.ego[:3, 3])
         mounts = np.linalg.inv(first.ego) @ np.linalg.inv(first.camera_from_global)

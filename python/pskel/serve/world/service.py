@@ -125,7 +125,7 @@ class WorldModel(video_model_pb2_grpc.WorldModelServiceServicer):
 
     def _generator(self, request: video_model_pb2.SessionRequest, scene: Scene, cameras: list[View]) -> Generator:
         """Return the generator of a session. Raises ``RequestError`` with ``UNAVAILABLE`` if it does not start."""
-        shown = pskel.Scene(scene.trajectory[0][1], [view.camera for view in cameras], t_us=scene.trajectory[0][0])
+        shown = pskel.Scene(scene.first.ego, [view.camera for view in cameras], map_of=scene.first)
         try:
             made: Generator = self._settings.open(
                 shown, log=scene.log.name, prompt=request.text_prompt.positive, noise_seed=request.random_seed

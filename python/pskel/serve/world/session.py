@@ -75,7 +75,7 @@ class Session:
         self._views = list(views)
         self._cameras = [view.camera for view in views]
         self._generator = generator
-        self._map_renderer = _map_renderer(scene) if show_map or generator is None else None
+        self._map_renderer = map_renderer(scene) if show_map or generator is None else None
         self._interval_us = 1e6 / settings.fps
         self._fps = settings.fps
         self._format = settings.image_format
@@ -151,7 +151,7 @@ class Session:
             raise RequestError(grpc.StatusCode.INVALID_ARGUMENT, f"rig_trajectory {number}: {error}") from None
 
     def _state(self, t_us: int, ego: Matrix, actors: Sequence[pskel.Actor]) -> pskel.Scene:
-        return pskel.Scene(ego, self._cameras, actors, name=str(t_us), t_us=t_us)
+        return pskel.Scene(ego, self._cameras, actors, name=str(t_us), t_us=t_us, map_of=self._scene.first)
 
     def _start(self, first_us: int, ego: Matrix) -> pskel.Scene:
         """Return the state of the first frames, which are one interval before the first chunk: that of the log.
@@ -177,7 +177,7 @@ class Session:
         kinds = (self._generator is not None) + (self._map_renderer is not None)
         pixels = sum(view.first_frame.shape[0] * view.first_frame.shape[1] for view in self._views)
         if (count := 3 * kinds * frames * pixels) > MAX_MESSAGE:
-            text = f"expected images of at most {MAX_MESSAGE} bytes in a chunk, found {count}: ask for fewer frames, or start with --encoding jpeg"
+            text = f"expected at most {MAX_MESSAGE} bytes of images in a chunk, found {count}: ask for fewer frames, or use --encoding jpeg"
             raise RequestError(grpc.StatusCode.RESOURCE_EXHAUSTED, text)
 
     def _generated(self, start: pskel.Scene | None, scenes: Sequence[pskel.Scene], context: Any) -> list[list[Picture]]:
@@ -206,7 +206,7 @@ class Session:
         assert self._map_renderer is not None
         made = []
         for view, camera in zip(self._views, self._cameras, strict=True):
-            maps = self._map_renderer.render(pskel.Scene(scene.ego, [camera], scene.actors))
+            maps = self._map_renderer.render(pskel.Scene(scene.ego, [camera], scene.actors, map_of=self._scene.first))
             boxes = maps["boxes"][0]
             picture = np.where(boxes.any(axis=-1, keepdims=True), boxes, maps["map"][0]) if "map" in maps else boxes
             made.append(view.projection.image(picture))
@@ -238,10 +238,12 @@ class Broken(Exception):
         self.cause = cause
 
 
-def _map_renderer(scene: Scene) -> pskel.Renderer:
+def map_renderer(scene: Scene) -> pskel.Renderer:
     """Return a renderer of the HD map and boxes, of boxes alone if the log has no HD map."""
+    renderer = pskel.Renderer(scene.skeleton, maps=["map", "boxes"], log=scene.log.name)
     try:
-        return pskel.Renderer(scene.skeleton, maps=["map", "boxes"], log=scene.log.name)
+        renderer.render(scene.first)
     except ValueError:
         print(f"pskel.serve: {scene.log.name} has no HD map: condition frames show boxes", file=sys.stderr, flush=True)
-        return pskel.Renderer(scene.skeleton, maps=["boxes"], log=scene.log.name)
+        renderer = pskel.Renderer(scene.skeleton, maps=["boxes"], log=scene.log.name)
+    return renderer
