@@ -21,13 +21,13 @@ SIDE_M, SIDE_SHARE = 0.3, 0.1
 #: Largest distance of an actor to where it is expected after its last chunk, meters, and its growth per second, with and without
 #: a known velocity.
 STEP_M, STEP_MPS, FASTEST_MPS = 1.0, 2.0, 70.0
-#: Categories of actors that are no track of the log; OTHER has no template.
+#: Categories of actors that are no track of the log. OTHER has no template, and no box is drawn of it: it is not shown.
 CATEGORIES: dict[int, str] = {
     video_model_pb2.CAR: "vehicle.car",
     video_model_pb2.TRUCK: "vehicle.truck",
     video_model_pb2.PEDESTRIAN: "human.pedestrian.adult",
     video_model_pb2.CYCLIST: "vehicle.bicycle",
-    video_model_pb2.OTHER: "object",
+    video_model_pb2.OTHER: "movable_object",
 }
 
 
@@ -115,11 +115,12 @@ class Cast:
         self._known: dict[str, _Known] = {}
         self._tracks: set[str] = set()
         self._unmatched = 0
+        self._hidden = 0
 
     @property
-    def counts(self) -> tuple[int, int]:
-        """Number of tracks of the log that were found, and of actors without one."""
-        return len(self._tracks), self._unmatched
+    def summary(self) -> str:
+        """How many actors are tracks of the log, and how many are not."""
+        return f"{len(self._tracks)} tracks of the log, {self._unmatched} other actors ({self._hidden} of class OTHER, not shown)"
 
     def roles(self, actors: Sequence[Asked]) -> list[Role]:
         """Return the role of each actor of the next chunk.
@@ -152,6 +153,7 @@ class Cast:
         for index, actor in enumerate(actors):
             if index not in found:
                 self._unmatched += 1
+                self._hidden += actor.class_id == video_model_pb2.OTHER
                 found[index] = Role(f"alpasim-{self._unmatched}", CATEGORIES[actor.class_id], actor.size)
         for index, actor in enumerate(actors):
             self._known[found[index].track] = _after(actor, found[index], self._known.get(found[index].track))

@@ -86,8 +86,7 @@ class Session:
     @property
     def summary(self) -> str:
         """Number of frames, and of actors by where they come from."""
-        matched, unmatched = self._cast.counts
-        return f"{self._count} frames, {matched} tracks of the log, {unmatched} other actors"
+        return f"{self._count} frames, {self._cast.summary}"
 
     def chunk(self, request: Chunk, context: Any, pool: Executor) -> video_model_pb2.VideoChunkReturn:
         """Return the images of a chunk.
