@@ -19,7 +19,7 @@ from .scenes import Scenes, sources
 from .service import GRACE_S, Service, serve
 from .world import Settings, WorldModel
 
-ENCODINGS = {"png": video_model_pb2.PNG, "jpeg": video_model_pb2.JPEG}
+ENCODINGS = {"jpeg": video_model_pb2.JPEG, "png": video_model_pb2.PNG}
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -46,7 +46,7 @@ def main(arguments: Sequence[str]) -> int:
     world.add_argument("--window", metavar="N", type=int, help="its window in frames, as of pskel simulate")
     world.add_argument("--generator-timeout", metavar="S", type=float, default=60.0, help="time for each answer of P (default %(default)g)")
     world.add_argument("--fps", metavar="N", type=float, default=30.0, help="frames per second of all sessions (default %(default)g)")
-    world.add_argument("--encoding", choices=ENCODINGS, default="png", help="format of the images (default %(default)s)")
+    world.add_argument("--encoding", choices=ENCODINGS, default="jpeg", help="format of the images (default %(default)s)")
     world.add_argument("--sessions", metavar="N", type=int, default=4, help="sessions that are open at a time (default %(default)s)")
     world.add_argument("--idle", metavar="S", type=float, default=600.0, help="a start ends sessions idle for so long (default %(default)g)")
     given = parser.parse_args(arguments)

@@ -1,7 +1,7 @@
-"""AlpaSim's own client of a world model, in an environment of AlpaSim: ``python alpasim_world_client.py ADDRESS USDZ OUT FRAMES LEFT_M``.
+"""AlpaSim's own client of a world model, in an environment of AlpaSim: ``python alpasim_world_client.py ADDRESS USDZ OUT FRAMES LEFT_M HxW``.
 
-It starts a session as AlpaSim does, from a USDZ file, asks for chunks along the recorded path moved to the left, and writes the
-serialized messages as ``OUT/session``, ``OUT/0.request``, ``OUT/0.response``, ..
+It starts a session as AlpaSim does, from a USDZ file and with images of a size, asks for chunks along the recorded path moved to the
+left, and writes the serialized messages as ``OUT/session``, ``OUT/0.request``, ``OUT/0.response``, ..
 """
 
 import asyncio
@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from alpasim_runtime.broadcaster import MessageBroadcaster
 from alpasim_runtime.camera_catalog import CameraCatalog
-from alpasim_runtime.config import VideoModelConfig
+from alpasim_runtime.config import CameraDefinitionConfig, VideoModelConfig
 from alpasim_runtime.services.session_configs import RendererSessionConfig
 from alpasim_runtime.services.video_model_service import VideoModelService
 from alpasim_runtime.types import Clock, RuntimeCamera
@@ -36,17 +36,18 @@ class Recorder:
             (self._out / "session").write_bytes(message.video_model_session_request.SerializeToString())
 
 
-async def main(address: str, usdz: str, out: Path, frames: int, left_m: float) -> None:
+async def main(address: str, usdz: str, out: Path, frames: int, left_m: float, size: tuple[int, int]) -> None:
     artifact = Artifact(usdz, _smooth_trajectories=False)
     artifact.source = usdz
     names = sorted(set(parse_cameras_from_usdz(usdz)) & set(extract_first_frames(usdz)[1]))
     clock = Clock(interval_us=33_333, duration_us=0)
     cameras = [RuntimeCamera(logical_id=name, render_resolution_hw=(0, 0), clock=clock) for name in names]
+    definitions = [CameraDefinitionConfig(logical_id=name, resolution_hw=size) for name in names]
     ego = artifact.rig.trajectory
     times = np.array(ego.timestamps_us)
-    moved = [ego.get_pose(i) @ geometry.Pose(np.array([0, left_m, 0], np.float32), np.array([0, 0, 0, 1], np.float32)) for i in range(len(times))]
-    path = geometry.Trajectory.from_poses(times, moved)
-    service = VideoModelService(address, VideoModelConfig(), camera_catalog=CameraCatalog([]))
+    left = geometry.Pose(np.array([0, left_m, 0], np.float32), np.array([0, 0, 0, 1], np.float32))
+    path = geometry.Trajectory.from_poses(times, [ego.get_pose(i) @ left for i in range(len(times))])
+    service = VideoModelService(address, VideoModelConfig(), camera_catalog=CameraCatalog(definitions))
     config = RendererSessionConfig(
         data_source=artifact, runtime_cameras=cameras, gt_ego_trajectory=ego, image_format="png", ego_mask_rig_config_id=None
     )
@@ -66,5 +67,6 @@ async def main(address: str, usdz: str, out: Path, frames: int, left_m: float) -
 
 
 if __name__ == "__main__":
-    _, address, usdz, out, frames, left_m = sys.argv
-    asyncio.run(main(address, usdz, Path(out), int(frames), float(left_m)))
+    _, address, usdz, out, frames, left_m, size = sys.argv
+    height, width = map(int, size.split("x"))
+    asyncio.run(main(address, usdz, Path(out), int(frames), float(left_m), (height, width)))

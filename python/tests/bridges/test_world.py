@@ -23,6 +23,7 @@ from world_fakes import Fake  # noqa: E402
 Chunk = video_model_pb2.VideoChunkRequest
 Start = video_model_pb2.SessionRequest
 SIZE = (56, 100)
+CAMERA_FROM_OPTICAL = np.array([[0, 0, 1, 0], [-1, 0, 0, 0], [0, -1, 0, 0], [0, 0, 0, 1.0]])
 LOGS = [f"town:seed={seed},frames=16,size=56x100" for seed in (7, 8)]
 
 
@@ -44,25 +45,25 @@ class Towns:
     def chunk(self, name: str, first: int, frames: int, number: int = 0, **fields: Any) -> Chunk:
         return chunk(name, self.logs[number], self.anchor_us[number] + (1 + first) * INTERVAL_US, frames, **fields)
 
-    def cameras(self, number: int = 0) -> list[pskel.Camera]:
-        """The cameras as messages hold them."""
-        request = self.start(number)
-        made = []
-        for spec, mount in zip(request.camera_specs, request.rig_to_camera, strict=True):
-            param = spec.opencv_pinhole_param
-            k = [[param.focal_length_x, 0, param.principal_point_x], [0, param.focal_length_y, param.principal_point_y], [0, 0, 1]]
-            ego_from_camera = poses.matrix(mount) @ np.array([[0, 0, 1, 0], [-1, 0, 0, 0], [0, -1, 0, 0], [0, 0, 0, 1.0]])
-            made.append(pskel.Camera(spec.logical_id, k, (spec.resolution_h, spec.resolution_w), ego_from_camera))
-        return made
-
     def expected(self, generator: str, start: Start, chunks: list[Chunk], number: int = 0, kind: Any = Fake) -> Any:
         log, skeleton = self.logs[number], pskel.Skeleton(self.skeletons[number])
         renderer = pskel.Renderer(skeleton, maps=["color", "depth"], log=log.name)
-        cameras, first = self.cameras(number), log.at(log.times_us[0])
+        cameras, first = cameras_of(start), log.at(log.times_us[0])
         options = {"log": log.name, "prompt": start.text_prompt.positive, "noise_seed": start.random_seed}
         made = kind(generator, pskel.Scene(first.ego, cameras, map_of=first), fps=30.0, **options)
         references = np.stack([decoded(frame.data) for frame in start.initial_frames])
         return in_process(made, renderer, log, start, chunks, cameras, references)
+
+
+def cameras_of(request: Start) -> list[pskel.Camera]:
+    """The pinhole cameras of a session as its message holds them."""
+    made = []
+    for spec, mount in zip(request.camera_specs, request.rig_to_camera, strict=True):
+        param = spec.opencv_pinhole_param
+        k = [[param.focal_length_x, 0, param.principal_point_x], [0, param.focal_length_y, param.principal_point_y], [0, 0, 1]]
+        ego_from_camera = poses.matrix(mount) @ CAMERA_FROM_OPTICAL
+        made.append(pskel.Camera(spec.logical_id, k, (spec.resolution_h, spec.resolution_w), ego_from_camera))
+    return made
 
 
 @pytest.fixture(scope="module")
@@ -190,7 +191,8 @@ def test_chunks_out_of_order_and_closed_sessions(towns: Towns, client: Any, star
             client.render_video_chunk(wrong)
         expected = towns.anchor_us[0] + round(5 * INTERVAL_US + 1e6 / 30)
         assert error.value.code() is grpc.StatusCode.FAILED_PRECONDITION
-        assert error.value.details() == f"expected the next frame at {expected} us (--fps 30), found {wrong.rig_trajectory.poses[0].timestamp_us}"
+        found = wrong.rig_trajectory.poses[0].timestamp_us
+        assert error.value.details() == f"expected the next frame at {expected} us (--fps 30), found {found}"
     answers += [client.render_video_chunk(request) for request in requests[1:]]
     np.testing.assert_array_equal(pictures(answers), towns.expected("fake:1:3", towns.start(), requests))
     closed(client, started)
@@ -209,8 +211,7 @@ def spec(request: Start) -> Any:
 
 def turn_optical(request: Start) -> None:
     """Give the axes of the optical frame, as the sensor renderer has them."""
-    mount = poses.matrix(request.rig_to_camera[1]) @ np.array([[0, 0, 1, 0], [-1, 0, 0, 0], [0, -1, 0, 0], [0, 0, 0, 1.0]])
-    request.rig_to_camera[1].CopyFrom(poses.pose(mount))
+    request.rig_to_camera[1].CopyFrom(poses.pose(poses.matrix(request.rig_to_camera[1]) @ CAMERA_FROM_OPTICAL))
 
 
 WRONG_STARTS = {
@@ -261,7 +262,8 @@ def test_scenes_are_named_by_the_clip(towns: Towns) -> None:
         start = towns.start(1, static_world_map=hdmap("map.txt", f"{towns.logs[1].name}.lane.parquet"))
         name = client.start_session(start).session_id
         request = towns.chunk(name, 0, 2, 1)
-        np.testing.assert_array_equal(pictures([client.render_video_chunk(request)]), towns.expected("fake:1:3", start, [request], 1))
+        found = pictures([client.render_video_chunk(request)])
+        np.testing.assert_array_equal(found, towns.expected("fake:1:3", start, [request], 1))
 
 
 def test_sessions_are_limited_and_end_when_idle(towns: Towns) -> None:
@@ -395,20 +397,17 @@ def test_generators_of_simulate_equal_the_loop_in_one_process(towns: Towns, gene
     del start.initial_frames[:]
     for image in towns.logs[0].images(towns.logs[0].at(towns.anchor_us[0]), size):
         start.initial_frames.append(encoded(image))
-    for camera in start.camera_specs:  # intrinsics in pixels of the first frame
+    for camera in start.camera_specs:  # of the size of the generator's images, which are then returned as they are
         param, scale = camera.opencv_pinhole_param, np.array(size) / SIZE
         param.focal_length_x, param.principal_point_x = param.focal_length_x * scale[1], param.principal_point_x * scale[1]
         param.focal_length_y, param.principal_point_y = param.focal_length_y * scale[0], param.principal_point_y * scale[0]
         camera.resolution_h, camera.resolution_w = size
-    towns_of_start = type("Of", (Towns,), {"start": lambda self, number=0: start})
-    own = object.__new__(towns_of_start)
-    own.__dict__.update(towns.__dict__)
     with server(*towns.one, f"--generator={generator}") as (_, address):
         client = stub(address)
         name = client.start_session(start).session_id
         requests = [towns.chunk(name, 0, 3), towns.chunk(name, 3, 2)]
         found = pictures([client.render_video_chunk(request) for request in requests])
-    np.testing.assert_array_equal(found, own.expected(generator, start, requests, kind=pskel.Generator))
+    np.testing.assert_array_equal(found, towns.expected(generator, start, requests, kind=pskel.Generator))
 
 
 def test_mistakes_of_the_command(towns: Towns) -> None:

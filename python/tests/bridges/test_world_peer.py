@@ -27,16 +27,17 @@ CLIENT = Path(__file__).parent / "alpasim_world_client.py"
 SHARED = Path(os.environ.get("PSKEL_SHARED", Path(__file__).parents[4] / "shared"))
 PANDASET = SHARED / "data/pandaset-002/nuscenes"
 FRAMES = 60
-LOGS = {"town": "town:seed=7,frames=16,size=113x200", "pandaset": f"nuscenes:{PANDASET}@v1.0-mini"}
+#: Logs and the size of the images, which is that of the first frames in the town, a quarter of it in PandaSet.
+LOGS = {"town": ("town:seed=7,frames=16,size=113x200", "113x200"), "pandaset": (f"nuscenes:{PANDASET}@v1.0-mini", "270x480")}
 
 pytestmark = pytest.mark.skipif(PYTHON is None, reason="needs an environment of AlpaSim (PSKEL_ALPASIM_PYTHON)")
 
 
 @pytest.fixture(scope="module", params=list(LOGS))
-def scene(request: Any, tmp_path_factory: pytest.TempPathFactory) -> tuple[str, Path, Path]:
-    """A log, its skeleton and its USDZ file."""
+def scene(request: Any, tmp_path_factory: pytest.TempPathFactory) -> tuple[str, Path, Path, str]:
+    """A log, its skeleton, its USDZ file and the size of the images."""
     folder = tmp_path_factory.mktemp(request.param)
-    name = LOGS[request.param]
+    name, size = LOGS[request.param]
     if request.param == "pandaset" and not PANDASET.exists():
         pytest.skip(f"needs {PANDASET}")
     try:
@@ -44,16 +45,16 @@ def scene(request: Any, tmp_path_factory: pytest.TempPathFactory) -> tuple[str, 
     except ValueError as error:
         pytest.skip(str(error))
     run("build", name, "--frames=0..4", "--voxel=0.1", f"--out={folder / 'skeleton'}")
-    return name, folder / "skeleton", next((folder / "usdz").glob("*.usdz"))
+    return name, folder / "skeleton", next((folder / "usdz").glob("*.usdz")), size
 
 
 @pytest.mark.parametrize("generator", ["fake:1:3", "fill"])
-def test_images_equal_the_loop_in_one_process(scene: tuple[str, Path, Path], tmp_path: Path, generator: str) -> None:
-    name, skeleton, usdz = scene
+def test_images_equal_the_loop_in_one_process(scene: tuple[str, Path, Path, str], tmp_path: Path, generator: str) -> None:
+    name, skeleton, usdz, size = scene
     fake = generator.startswith("fake")
     with server(str(skeleton), f"--log={name}", f"--generator={generator}", **({"program": FAKES} if fake else {})) as (_, address):
         assert PYTHON is not None
-        command = [PYTHON, str(CLIENT), address, str(usdz), str(tmp_path), str(FRAMES), "0.5"]
+        command = [PYTHON, str(CLIENT), address, str(usdz), str(tmp_path), str(FRAMES), "0.5", size]
         done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=1200, env={**os.environ, "PYTHONPATH": ""})
         assert done.returncode == 0, done.stderr
     start = video_model_pb2.SessionRequest.FromString((tmp_path / "session").read_bytes())
@@ -64,7 +65,12 @@ def test_images_equal_the_loop_in_one_process(scene: tuple[str, Path, Path], tmp
     assert len(start.camera_specs) == 6 and all(spec.WhichOneof("camera_param") == "ftheta_param" for spec in start.camera_specs)
 
     log = pskel.Log(name)
-    projections = [projection(spec, (spec.resolution_h, spec.resolution_w)) for spec in start.camera_specs]
+    height, width = map(int, size.split("x"))
+    frames = [decoded(frame.data) for frame in start.initial_frames]
+    for spec, frame in zip(start.camera_specs, frames, strict=True):  # the intrinsics are in pixels of the first frame
+        assert (spec.resolution_h, spec.resolution_w) == (height, width)
+        spec.resolution_h, spec.resolution_w = frame.shape[:2]
+    projections = [projection(spec, (height, width)) for spec in start.camera_specs]
     cameras = [
         pskel.Camera(spec.logical_id, shown.intrinsics, shown.size, poses.matrix(mount) @ CAMERA_FROM_OPTICAL)
         for spec, mount, shown in zip(start.camera_specs, start.rig_to_camera, projections, strict=True)
@@ -77,8 +83,8 @@ def test_images_equal_the_loop_in_one_process(scene: tuple[str, Path, Path], tmp
     renderer = pskel.Renderer(pskel.Skeleton(skeleton), maps=["color", "depth"], log=log.name)
     references = np.stack(
         [
-            resized(shown.pinhole(decoded(frame.data)), made.image_size)
-            for shown, frame in zip(projections, start.initial_frames, strict=True)
+            resized(shown.pinhole(resized(frame, (height, width))), made.image_size)
+            for shown, frame in zip(projections, frames, strict=True)
         ]
     )
     expected = in_process(made, renderer, log, start, chunks, cameras, references)

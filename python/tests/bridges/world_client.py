@@ -36,9 +36,10 @@ CLASSES = {
 
 @contextmanager
 def server(*arguments: str, program: Sequence[str] = ("-m", "pskel.serve")) -> Iterator[tuple["subprocess.Popen[str]", str]]:
-    """A server in a process of its own; yields it and its address."""
+    """A server in a process of its own, whose images are PNG by default; yields it and its address."""
     port = [] if any(argument.startswith("--port") for argument in arguments) else ["--port=0"]
-    command = [sys.executable, *program, *arguments, *port]
+    exact = ["--encoding=png"] if any(argument.startswith("--generator") for argument in arguments) else []
+    command = [sys.executable, *program, *exact, *arguments, *port]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=sys.stderr, text=True)
     assert process.stdout is not None
     try:
@@ -84,7 +85,9 @@ def encoded(image: Pictures, kind: str = "PNG") -> video_model_pb2.Image:
     return video_model_pb2.Image(data=out.getvalue(), format=video_model_pb2.ImageFormat.Value(kind))
 
 
-def chunk(name: str, log: pskel.Log, first_us: int, frames: int, left_m: float = 0.0, shuffle: int = 0) -> video_model_pb2.VideoChunkRequest:
+def chunk(
+    name: str, log: pskel.Log, first_us: int, frames: int, left_m: float = 0.0, shuffle: int = 0
+) -> video_model_pb2.VideoChunkRequest:
     """A chunk of the log, with the ego moved to the left; its actors in another order for each ``shuffle``."""
     times_us = [first_us + number * INTERVAL_US for number in range(frames)]
     scenes = [log.at(t_us).move_ego(left_m=left_m) for t_us in times_us]

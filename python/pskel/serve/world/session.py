@@ -22,7 +22,7 @@ from .. import images
 from ..errors import RequestError, invalid
 from ..messages import MAX_MESSAGE, sized
 from ..scenes import Scene
-from .actors import Cast, asked
+from .actors import Asked, Cast, asked
 from .views import Picture, View
 
 Chunk = video_model_pb2.VideoChunkRequest
@@ -57,7 +57,7 @@ class Settings:
 
     open: Callable[..., Generator]
     fps: float = 30.0
-    image_format: int = video_model_pb2.PNG
+    image_format: int = video_model_pb2.JPEG
     sessions: int = 4
     idle_s: float = 600.0
 
@@ -103,16 +103,8 @@ class Session:
         start = self._start(times_us[0], egos[0]) if self._last_us is None else None
         if not context.is_active():
             raise RequestError(grpc.StatusCode.CANCELLED, "expected a caller that waits, found none")
-        roles = self._cast.roles(actors)
-        scenes = []
-        for t_us, ego in zip(times_us, egos, strict=True):
-            boxes = [
-                pskel.Actor(role.track, role.category, role.size, actor.poses[t_us])
-                for role, actor in zip(roles, actors, strict=True)
-                if t_us in actor.poses
-            ]
-            scenes.append(self._state(t_us, ego, boxes))
         try:
+            scenes = self._states(times_us, egos, actors)
             made = self._generated(start, scenes, context) if self._generator is not None else []
             maps = [self._maps(scene) for scene in scenes] if self._map_renderer is not None else []
             answer = sized(self._answer(made, maps, pool))
@@ -148,6 +140,18 @@ class Session:
             return poses.matrix(pose, self._scene.origin)
         except ValueError as error:
             raise RequestError(grpc.StatusCode.INVALID_ARGUMENT, f"rig_trajectory {number}: {error}") from None
+
+    def _states(self, times_us: Sequence[int], egos: Sequence[Matrix], actors: Sequence[Asked]) -> list[pskel.Scene]:
+        """Return the states of the frames, with the actors that each has."""
+        cast = list(zip(self._cast.roles(actors), actors, strict=True))
+        return [
+            self._state(
+                t_us,
+                ego,
+                [pskel.Actor(role.track, role.category, role.size, actor.poses[t_us]) for role, actor in cast if t_us in actor.poses],
+            )
+            for t_us, ego in zip(times_us, egos, strict=True)
+        ]
 
     def _state(self, t_us: int, ego: Matrix, actors: Sequence[pskel.Actor]) -> pskel.Scene:
         return pskel.Scene(ego, self._cameras, actors, name=str(t_us), t_us=t_us, map_of=self._scene.first)
