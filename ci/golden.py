@@ -18,7 +18,7 @@ from pathlib import Path
 
 SKIPPED = {"rollout.json", "index.json", "index.html", "metrics.json", ".pskel-files", "rollout.mp4", "skeleton.json"}
 RASTERIZERS = ["compute", "graphics", "cpu"]
-LAYOUTS = ["frames", "pas-cache", "opendwm-preview", "webdataset", "mcap", "world-scenario", "cosmos-video"]
+LAYOUTS = ["frames", "pas-cache", "opendwm-preview", "webdataset", "mcap", "alpasim", "world-scenario", "cosmos-video"]
 CLIPS = [
     ("streetcrafter", "town:seed=7,frames=25,hz=10,size=40x72", "320x576"),
     ("freevs", "town:seed=7,frames=6,size=45x80", "540x960"),
@@ -82,7 +82,7 @@ def main():
             if name != "nuplan":
                 for layout in LAYOUTS:
                     out = scratch / f"{name}-{layout}"
-                    images = ["--images"] if layout not in ("world-scenario", "cosmos-video") else []
+                    images = ["--images"] if layout not in ("alpasim", "world-scenario", "cosmos-video") else []
                     run("export", log, "--layout", layout, "--skeletons", scratch / f"{name}-skeletons", "--out", out,
                         "--frames", "0..3", "--shard-frames", 2, "--out-size", size, *images)
                     show(out, f"{name} export {layout}")

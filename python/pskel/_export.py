@@ -111,7 +111,7 @@ def export(
         Folder to write. Several processes may write to it.
     layout : str
         Layout of the files: frames, pas-cache, opendwm-preview, webdataset, streetcrafter, freevs, mcap,
-        world-scenario or cosmos-video.
+        alpasim, world-scenario or cosmos-video.
     skeletons : path
         Folder of skeletons, one per log and named after it; those that do not exist are built.
     only : (I, N), optional
@@ -119,7 +119,7 @@ def export(
     jobs : int
         Number of logs that are exported at a time, each with a device of its own, 1 to 64.
     shard_frames : int
-        Key frames per shard.
+        Key frames per shard. The layout alpasim has whole logs.
     frames : (first, end), optional
         Range of key frames of each log, numbered from 0, ``end`` excluded. By default all.
     between_images : bool

@@ -1,4 +1,4 @@
-"""The image protocol against a client of its own, and the same in one process."""
+"""The image protocol against a client of its own."""
 
 import io
 import json
@@ -68,7 +68,7 @@ def test_requests_and_answers() -> None:
     texts, tensors = request(5, frames=2, earlier=3)
     (hello,), said, (answer, made) = converse(generator, pack(HELLO, {}), pack(texts, tensors))
     assert hello == images.Hello(
-        log="scene-0061", seed=3, fps=5.0, frame=2, condition_size=(H, W), cameras=tuple(CAMERAS),
+        log="scene-0061", seed=3, fps=5.0, condition_size=(H, W), cameras=tuple(CAMERAS),
         image_sizes=((1600, 900), (800, 450)), maps=("color", "depth", "class", "instance", "boxes", "map"),
     )  # fmt: skip
     assert said == (
@@ -110,6 +110,9 @@ def test_defaults_and_the_first_requests() -> None:
     generator = Recorder()  # frame 2 has 2 of 3 earlier images
     converse(generator, pack(HELLO, {}), pack(*request(2, frames=2, earlier=2)))
     assert generator.requests[0].images.shape == (2, V, H, W, 3)
+    generator = Recorder()  # at the end of a log there are fewer forecasts
+    converse(generator, pack(HELLO, {}), pack(*request(5, frames=1, earlier=3)))
+    assert generator.requests[0].maps["color"].shape == (1, V, H, W, 3)
     assert converse(Recorder()) == [[]]
 
 

@@ -66,7 +66,9 @@ impl ExportJob {
             }
         }
         let frames = self.options.frames.map(|[first, end]| first..end);
-        let list = WorkList::new(known, self.options.shard_frames, frames)?;
+        let whole = self.options.layout.has_whole_logs();
+        let shard_frames = if whole { usize::MAX } else { self.options.shard_frames };
+        let list = WorkList::new(known, shard_frames, frames)?;
         let part = self.only.map_or_else(|| list.clone(), |part| list.part(part));
         Ok(ListedExport { list: Some(list), part, failures })
     }

@@ -27,6 +27,9 @@ pub enum Layout {
     /// MCAP files with the schemas of Foxglove.
     #[cfg(feature = "mcap")]
     Mcap,
+    /// Scenes for the runtime of AlpaSim, a USDZ per log; no maps.
+    #[cfg(feature = "parquet")]
+    Alpasim,
     /// Annotations for the world scenario renderer of Cosmos-Transfer2.5, as Parquet files; no maps.
     #[cfg(feature = "parquet")]
     WorldScenario,
@@ -45,6 +48,8 @@ named!(Layout, "layout" {
     Freevs => "freevs", "Clips of points and images for FreeVS, at 5 Hz";
     #[cfg(feature = "mcap")]
     Mcap => "mcap", "An MCAP log with Foxglove schemas per shard";
+    #[cfg(feature = "parquet")]
+    Alpasim => "alpasim", "A scene for AlpaSim's runtime per recording, as USDZ; no maps";
     #[cfg(feature = "parquet")]
     WorldScenario => "world-scenario",
         "Annotations for Cosmos-Transfer2.5 as Parquet files; no maps";
@@ -65,7 +70,7 @@ impl Layout {
             #[cfg(feature = "mcap")]
             Self::Mcap => asked.without(MapKind::Tensor),
             #[cfg(feature = "parquet")]
-            Self::WorldScenario => MapSet::NONE,
+            Self::Alpasim | Self::WorldScenario => MapSet::NONE,
             #[cfg(feature = "video")]
             Self::CosmosVideo => {
                 let shown = [MapKind::Color, MapKind::Boxes, MapKind::Map];
@@ -86,6 +91,15 @@ impl Layout {
     /// Returns whether depth is the color cloud's, for masks of the color map.
     pub(crate) fn has_color_masks(self) -> bool {
         self == Self::Streetcrafter
+    }
+
+    /// Returns whether a shard is a whole log, whatever its length.
+    pub(crate) fn has_whole_logs(self) -> bool {
+        #[cfg(feature = "parquet")]
+        if self == Self::Alpasim {
+            return true;
+        }
+        false
     }
 
     /// Returns whether the layout has maps, so that a skeleton is needed.
@@ -156,7 +170,7 @@ pub struct ExportOptions {
     pub format: SampleFormat,
     /// Range of key frames of each log; `None` for all.
     pub frames: Option<[usize; 2]>,
-    /// Maximum number of key frames in a shard.
+    /// Maximum number of key frames in a shard. The layout `alpasim` has whole logs.
     pub shard_frames: usize,
     /// Whether recorded images, without lens distortion and at the size of the maps, are exported too.
     pub images: bool,
@@ -205,7 +219,7 @@ impl ExportOptions {
     /// Returns whether the HD map is drawn or written.
     pub(crate) fn uses_map(&self) -> bool {
         #[cfg(feature = "parquet")]
-        if self.layout == Layout::WorldScenario {
+        if matches!(self.layout, Layout::Alpasim | Layout::WorldScenario) {
             return true;
         }
         let maps = self.conditions.maps;

@@ -65,7 +65,7 @@ impl WorkList {
             let starts = frames.clone().step_by(shard_frames.max(1));
             let unit = |start: usize| WorkUnit {
                 name: format!("{name}-{start:06}"),
-                frames: start..frames.end.min(start + shard_frames.max(1)),
+                frames: start..frames.end.min(start.saturating_add(shard_frames.max(1))),
             };
             Ok(ListedLog { units: starts.map(unit).collect(), locator, name })
         };

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import http.client
 import json
+import socket
 import time
 import urllib.error
 import urllib.request
@@ -13,6 +14,8 @@ __all__ = ["Answer", "Server"]
 
 _MAX_BYTES = 64 << 20
 _PART_BYTES = 1 << 16
+#: The same since Python 3.10.
+_TIMEOUTS = (TimeoutError, socket.timeout)
 
 
 class Answer(NamedTuple):
@@ -51,14 +54,16 @@ class Server:
                         raise ValueError(f"expected an answer of {asked} of at most {_MAX_BYTES} bytes, found more")
                     if time.monotonic() > end_s:
                         raise TimeoutError
+                if answer.length:
+                    raise ConnectionError(f"{len(content)} bytes, and {answer.length} less than announced")
                 return Answer(answer.status, answer.headers.get_content_type(), content)
         except urllib.error.HTTPError as error:
             said = " ".join(error.read(300).decode(errors="replace").split())
             raise ValueError(f"expected an answer of {asked}, found status {error.code}: {said}") from None
-        except TimeoutError:
+        except _TIMEOUTS:
             raise ValueError(f"expected an answer of {asked} within {self._timeout_s:g} s, found none") from None
         except (OSError, http.client.HTTPException) as error:
             reason = getattr(error, "reason", error)
-            if isinstance(reason, TimeoutError):
+            if isinstance(reason, _TIMEOUTS):
                 raise ValueError(f"expected an answer of {asked} within {self._timeout_s:g} s, found none") from None
             raise ValueError(f"expected an answer of {asked}, found {reason or type(error).__name__}") from None

@@ -73,7 +73,7 @@ class Images:
     def __iter__(self) -> Iterator[npt.NDArray[np.uint8]]:
         for frame, _ in enumerate(self._planning_steps()):
             images = self._recorded(frame) if frame < self._settings.references else self._generated(frame)
-            self._earlier.append(images)
+            self._earlier.append(images.copy())  # a generator may use its array again, and a caller may change it
             yield images
 
     def _planning_steps(self) -> Iterator[int]:

@@ -89,10 +89,12 @@ class _Connection(NamedTuple):
         """Returns ``False`` if the connection has ended."""
         try:
             messages.write(self.out, texts, tensors)
-        except ConnectionError:
+        except BaseException as error:  # also an interrupt
             with suppress(OSError):
                 self.out.close()  # would raise again at the end, because of what it could not write
-            return False
+            if isinstance(error, ConnectionError):
+                return False
+            raise
         return True
 
 

@@ -108,7 +108,7 @@ class Handler(BaseHTTPRequestHandler):
     def answer(self, status: int, kind: str, content: bytes, slow: bool = False) -> None:
         self.send_response(status)
         self.send_header("Content-Type", kind)
-        self.send_header("Content-Length", str(len(content)))
+        self.send_header("Content-Length", str(len(content) + (9 if self.server.is_failing("short") else 0)))
         self.end_headers()
         for part in (content[i : i + 10] for i in range(0, len(content), 10)) if slow else [content]:
             self.wfile.write(part)

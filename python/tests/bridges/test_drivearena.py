@@ -25,7 +25,7 @@ from pskel.drivearena.road_map import RoadMap
 COMMAND = [sys.executable, "-m", "pskel.drivearena"]
 NAMES = ["CAM_FRONT", "CAM_FRONT_RIGHT", "CAM_FRONT_LEFT", "CAM_BACK", "CAM_BACK_LEFT", "CAM_BACK_RIGHT"]  # of nuScenes
 HELLO = {
-    "protocol": "pskel-images", "version": "1", "log": "scene-0061", "seed": "0", "fps": "2.0", "frame": "0",
+    "protocol": "pskel-images", "version": "1", "log": "scene-0061", "seed": "0", "fps": "2.0",
     "condition_size": "256,448", "cameras": json.dumps(NAMES), "image_sizes": json.dumps([[1600, 900]] * 6), "maps": '["color"]',
 }  # fmt: skip
 
@@ -168,6 +168,7 @@ def test_images_of_a_world_dreamer(square: Path) -> None:
         ("text", "expected a PNG of the world dreamer, found text/html: b'<html>busy</html>'"),
         ("size", "expected images of the world dreamer of 1344x400 in all, found 1344x200"),
         ("cut", "expected a PNG of the world dreamer, found "),
+        ("short", "expected an answer of POST URL/dreamer-api/, found "),
     ],
 )
 def test_failures_of_a_world_dreamer(fails: str, expected: str) -> None:

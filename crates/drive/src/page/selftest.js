@@ -286,7 +286,16 @@ export async function selfTest(size = null) {
     await until(() => (state.view.hide ?? []).includes(track), "the actor is hidden");
     byId("hide").click();
     await until(() => !(state.view.hide ?? []).includes(track), "the actor is shown again");
-    hidden = "an actor hidden";
+    byId("hold").click();
+    await until(() => track in (state.view.hold ?? {}), "the actor is held");
+    await until(() => document.querySelectorAll("#edits li").length === 1, "the change is listed");
+    document.querySelector("#edits button").click();
+    await until(() => !(track in (state.view.hold ?? {})), "the change is undone");
+    setValue(byId("replace"), "template");
+    await until(() => state.view.replace?.[track] === "template", "the actor is a template");
+    setValue(byId("replace"), "");
+    await until(() => !document.getElementById("edits"), "no change is left");
+    hidden = "an actor hidden, held and replaced";
   }
 
   // Drawing.
@@ -392,7 +401,7 @@ export async function randomTest(count, seed) {
   const moves = {
     key: () => key(one(KEYS), one(["keydown", "keyup"])),
     command: () => press(one(["KeyP", "KeyR", "KeyL", "KeyB", "KeyE", ".", ",", "Digit1", "Digit2", "Digit9", "Escape"])),
-    button: () => one(all("#maps button, #layers button, #modes button, #speeds button, #drivers button, #tabs button, #timeline > button, .enlarge, #pose button, #picked button, #hidden-actors button, #take"))?.click(),
+    button: () => one(all("#maps button, #layers button, #modes button, #speeds button, #drivers button, #tabs button, #timeline > button, .enlarge, #pose button, #picked button, #edits button, #take"))?.click(),
     slider: () => { const node = one(all("input[type=range]")); if (node) setSlider(node, Number(node.min) + random() * (node.max - node.min)); },
     list: () => { const node = one(all("select")); if (node) setValue(node, one([...node.options]).value); },
     check: () => one(all("#drawing input[type=checkbox]"))?.click(),

@@ -1,5 +1,7 @@
 //! Layouts: the files that each kind of reader expects. One module each.
 
+#[cfg(feature = "parquet")]
+mod alpasim;
 mod clips;
 #[cfg(feature = "video")]
 mod cosmos_video;
@@ -49,6 +51,8 @@ pub(crate) fn writer<'a>(
         #[cfg(feature = "mcap")]
         Layout::Mcap => Box::new(mcap::Mcap::begin(shard, source)?),
         #[cfg(feature = "parquet")]
+        Layout::Alpasim => Box::new(alpasim::Scene::new(source)),
+        #[cfg(feature = "parquet")]
         Layout::WorldScenario => Box::new(world_scenario::WorldScenario::new(source)),
         #[cfg(feature = "video")]
         Layout::CosmosVideo => Box::new(cosmos_video::Videos::new(source, shard.name())),
@@ -58,14 +62,16 @@ pub(crate) fn writer<'a>(
 /// Checks, before any work, that a layout can hold the maps of a log.
 ///
 /// # Errors
-/// Fails if the encoder of the layout cannot encode the sizes of the maps, or if the log has another rate or
-/// more cameras than the layout.
+/// Fails if the encoder of the layout cannot encode the sizes of the maps, or if the log has another rate,
+/// more cameras or fewer frames than the layout.
 pub(crate) fn check(options: &ExportOptions, log: &Recording) -> Result<(), ExportError> {
     if let Some(rules) = options.layout.clip_rules() {
         clips::check(rules, options, log)?;
     }
     match options.layout {
         Layout::Streetcrafter => clips::streetcrafter::check(log),
+        #[cfg(feature = "parquet")]
+        Layout::Alpasim => alpasim::check(options, log),
         #[cfg(feature = "video")]
         Layout::CosmosVideo => cosmos_video::check(options, log),
         _ => Ok(()),

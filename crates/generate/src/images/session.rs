@@ -2,7 +2,7 @@ use std::collections::VecDeque;
 use std::time::Instant as Clock;
 
 use image::RgbImage;
-use point_skeleton::conditions::{ConditionOptions, MapSet, Prompts};
+use point_skeleton::conditions::{ConditionOptions, ConditionSet, MapSet, Prompts};
 use point_skeleton::scene::{GroundTruthImages, SceneState};
 use point_skeleton::{MapOptions, Renderer};
 use pskel_sim::report::images::StepImages;
@@ -84,7 +84,10 @@ impl<'a> ImageSession<'a> {
         state: &SceneState,
         renderer: &mut Renderer<'_>,
     ) -> Result<RequestFrame<'_>, ImageProcessError> {
-        let set = renderer.render_with(state, &self.maps)?.set;
+        let set = match self.process.wanted.maps.is_empty() {
+            true => ConditionSet::default(),
+            false => renderer.render_with(state, &self.maps)?.set,
+        };
         let captions = self.scene.captions.as_ref();
         let prompts = captions.map_or(&self.prompt, |captions| captions.at(state.t_us));
         Ok(RequestFrame { state: state.clone(), set, prompts })

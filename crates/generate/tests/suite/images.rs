@@ -213,6 +213,28 @@ fn images_follow_the_color_maps_and_the_earlier_images() {
 }
 
 #[test]
+fn a_generator_may_want_poses_alone() {
+    let lines = "
+see()
+say(HELLO | {'maps': '[]', 'references': '0', 'history': '0'})
+while (message := see()) is not None:
+    texts, tensors = message
+    assert sorted(tensors) == ['ego_from_camera', 'global_from_ego', 'intrinsics'], sorted(tensors)
+    say({}, images=('U8', SHAPE, bytes([int(texts['frame'])]) * (6 * 24 * 40 * 3)))
+";
+    let scene = Scene::new();
+    let mut renderer = scene.renderer();
+    let process = scene.start(script(&scene.path(), lines), PATIENT_S).unwrap();
+    assert_eq!((process.window(), process.forecasts()), (1, 0));
+    let mut session = scene.session(process);
+    let all = drive(scene.log.recording(), &mut scene.simulation(), &mut session, &mut renderer);
+    for (frame, (made, saved)) in all.iter().enumerate() {
+        assert!(!made.is_reference && saved.is_some());
+        assert!(made.images.iter().all(|image| image.as_raw().iter().all(|level| usize::from(*level) == frame)));
+    }
+}
+
+#[test]
 fn bad_hellos_are_errors() {
     let scene = Scene::new();
     for (answer, part) in [

@@ -53,7 +53,7 @@ pub(crate) struct ExportArgs {
     #[arg(long, value_name = "N", default_value = "1")]
     #[arg(value_parser = clap::value_parser!(u32).range(1..=ExportJob::MAX_JOBS as i64))]
     jobs: u32,
-    /// Key frames per shard
+    /// Key frames per shard; the layout alpasim has whole recordings
     #[arg(long, value_name = "N", default_value = "256", value_parser = clap::value_parser!(u32).range(1..))]
     shard_frames: u32,
     #[command(flatten)]

@@ -5,18 +5,16 @@
 //! The origin of coordinates is the ego's pose at the first frame of the clip that is near most others.
 //! Schemas follow NVIDIA's page *World Scenario Parquet File Structure*.
 
+mod lanes;
 mod parquet;
+mod rails;
 mod rig;
 mod tables;
 
-use std::path::Path;
-
 use point_skeleton::Maps;
-use point_skeleton::error::FileError;
 use point_skeleton::scene::SceneMap;
 
-use self::parquet::encode;
-use self::tables::{Clip, Table};
+pub(super) use self::tables::{Clip, category};
 use super::{LayoutWriter, Source};
 use crate::ExportError;
 use crate::samples::Sample;
@@ -40,13 +38,8 @@ impl LayoutWriter for WorldScenario<'_> {
     fn finish(self: Box<Self>, shard: &mut Shard) -> Result<(), ExportError> {
         let name = shard.name().to_owned();
         let clip = Clip::new(self.source.recording(), shard.frames(), &name);
-        for Table { kind, schema, columns } in
-            clip.tables(self.source.map.as_deref().map(SceneMap::vector_map))
-        {
-            let path = format!("{name}/{name}.{kind}.parquet");
-            let bytes = encode(&schema, &columns)
-                .map_err(|error| FileError::io("write", Path::new(&path))(std::io::Error::other(error)))?;
-            shard.put(path, &bytes)?;
+        for table in clip.tables(self.source.map.as_deref().map(SceneMap::vector_map)) {
+            shard.put(format!("{name}/{name}.{}.parquet", table.kind), &table.encode()?)?;
         }
         Ok(())
     }

@@ -1,37 +1,57 @@
 //! Table rows of a clip.
 
-use std::ops::Range;
+use std::ops::{Range, RangeInclusive};
+use std::path::Path;
 
 use glam::{DQuat, DVec2, DVec3};
 use point_skeleton::dataset::{EgoTrack, Frame, Recording, VectorMap};
+use point_skeleton::error::FileError;
 use point_skeleton::geometry::Pose;
 
 use super::super::slots;
-use super::parquet::Column;
+use super::parquet::{Column, encode};
 use super::rig::rig;
 
 /// Map items farther than this from the ego's path are left out, meters.
 const AROUND_M: f64 = 150.0;
 /// Version of the data, which readers ignore.
-const VERSION: i64 = 1;
+pub(super) const VERSION: i64 = 1;
 
 /// A table of a clip.
-pub(super) struct Table {
-    pub(super) kind: &'static str,
+pub(in crate::layout) struct Table {
+    pub(in crate::layout) kind: &'static str,
     pub(super) schema: String,
+    /// Leaves of the schema; the first one is a text.
     pub(super) columns: Vec<Column>,
 }
 
+impl Table {
+    fn is_empty(&self) -> bool {
+        matches!(self.columns.first(), Some(Column::Text(rows)) if rows.is_empty())
+    }
+
+    /// Encodes the table as a Parquet file.
+    ///
+    /// # Errors
+    /// Fails if the columns do not fit the schema.
+    pub(in crate::layout) fn encode(&self) -> Result<Vec<u8>, FileError> {
+        let name = format!("{}.parquet", self.kind);
+        let failed = |error| FileError::io("write", Path::new(&name))(std::io::Error::other(error));
+        encode(&self.schema, &self.columns).map_err(failed)
+    }
+}
+
 /// Some frames of a log.
-pub(super) struct Clip<'a> {
-    log: &'a Recording,
-    frames: &'a [Frame],
-    name: String,
-    /// Pose of the first frame near most others.
-    clip_from_global: Pose,
+pub(in crate::layout) struct Clip<'a> {
+    pub(in crate::layout) log: &'a Recording,
+    pub(in crate::layout) frames: &'a [Frame],
+    pub(in crate::layout) name: String,
+    /// Frame of all coordinates.
+    pub(in crate::layout) clip_from_global: Pose,
 }
 
 impl<'a> Clip<'a> {
+    /// Creates a clip in coordinates of the ego at the first frame that is near most others.
     pub(super) fn new(log: &'a Recording, frames: Range<usize>, name: &str) -> Self {
         let frames = log.frames.get(frames).unwrap_or_default();
         let origin = Frame::origin_of(frames).map_or(Pose::IDENTITY, |frame| frame.global_from_ego);
@@ -39,7 +59,7 @@ impl<'a> Clip<'a> {
     }
 
     /// Returns the tables; the map's only if they have rows.
-    pub(super) fn tables(&self, map: Option<&VectorMap>) -> Vec<Table> {
+    pub(in crate::layout) fn tables(&self, map: Option<&VectorMap>) -> Vec<Table> {
         let mut tables = vec![self.obstacles(), self.calibration(), self.egomotion()];
         if let Some(map) = map {
             tables.extend(self.map_tables(map));
@@ -89,20 +109,23 @@ impl<'a> Clip<'a> {
         table("calibration_estimate", &time_key(), &format!("{} {}", text("name"), text("rig_json")), columns)
     }
 
-    /// The ego's poses at frames and sweeps.
-    fn egomotion(&self) -> Table {
+    /// Returns the time between the first and the last frame, microseconds; `None` without frames.
+    pub(in crate::layout) fn times_us(&self) -> Option<RangeInclusive<i64>> {
+        self.frames.first().zip(self.frames.last()).map(|(first, last)| first.t_us..=last.t_us)
+    }
+
+    /// Returns the ego's poses at frames and sweeps, with their times in microseconds.
+    pub(in crate::layout) fn ego_poses(&self) -> Vec<(i64, Pose)> {
+        let Some(times_us) = self.times_us() else { return Vec::new() };
         let track = EgoTrack::new(self.log);
-        let ends = self.frames.first().zip(self.frames.last()).map(|(a, b)| a.t_us..=b.t_us);
-        let mut poses: Vec<(i64, Pose)> = track
-            .poses()
-            .iter()
-            .filter(|(t, _)| ends.as_ref().is_some_and(|e| e.contains(t)))
-            .copied()
-            .collect();
+        let within = track.poses().iter().filter(|(t_us, _)| times_us.contains(t_us));
+        let mut poses: Vec<_> = within.map(|(t_us, pose)| (*t_us, self.clip_from_global * *pose)).collect();
         poses.dedup_by_key(|(t_us, _)| *t_us);
-        for (_, pose) in &mut poses {
-            *pose = self.clip_from_global * *pose;
-        }
+        poses
+    }
+
+    fn egomotion(&self) -> Table {
+        let poses = self.ego_poses();
         let mut columns = vec![
             self.clip_ids(poses.len()),
             Column::Int(poses.iter().map(|(t_us, _)| *t_us).collect()),
@@ -116,80 +139,95 @@ impl<'a> Clip<'a> {
     }
 
     fn map_tables(&self, map: &VectorMap) -> Vec<Table> {
-        let rings = |areas: &[point_skeleton::dataset::Area]| -> Vec<Vec<DVec2>> {
-            areas
-                .iter()
-                .flat_map(|area| std::iter::once(&area.exterior).chain(&area.holes))
-                .map(|ring| closed(ring))
-                .collect()
-        };
-        let exteriors = |areas: &[point_skeleton::dataset::Area]| -> Vec<Vec<DVec2>> {
-            areas.iter().map(|area| area.exterior.clone()).collect()
-        };
-        let categorized =
-            |kind: &'static str, category: &str, lines: Vec<Vec<DVec2>>, more: Vec<(String, Column)>| {
-                let rows = lines.len();
-                let categories = Column::Text(vec![category.to_owned(); rows]);
-                let mut columns = self.map_key(rows);
-                columns.push(categories);
-                columns.extend(self.rail(&lines));
-                let fields = format!("{} {}", text("category"), points("location"));
-                let fields = more.iter().fold(fields, |fields, (field, _)| format!("{fields} {field}"));
-                columns.extend(more.into_iter().map(|(_, column)| column));
-                columns.push(Column::Int(vec![VERSION; rows]));
-                table(kind, &map_key(), &fields, columns)
-            };
-        let mut tables = Vec::new();
-        let dividers = self.near(map.dividers.clone());
-        if !dividers.is_empty() {
-            tables.push(self.lane_lines(&dividers));
-        }
-        let boundaries = self.near(rings(&map.drivable_area));
-        let crossings = self.near(exteriors(&map.crossings));
-        let stops = self.near(exteriors(&map.stop_lines).iter().map(|ring| closed(ring)).collect());
-        let implicit = (flag("is_implicit"), Column::Bool(vec![false; stops.len()]));
-        let subtype = (text("intersection_subtype"), Column::Text(vec!["UNKNOWN".to_owned(); stops.len()]));
-        for (kind, category, lines, more) in [
-            ("road_boundary", "road_boundary", boundaries, Vec::new()),
-            ("crosswalk", "PEDESTRIAN", crossings, Vec::new()),
-            ("wait_line", "STOP", stops, vec![implicit, subtype]),
-        ] {
-            if !lines.is_empty() {
-                tables.push(categorized(kind, category, lines, more));
-            }
-        }
-        tables
+        let tables = [
+            self.lane_lines(&self.near(map.dividers.clone())),
+            self.road_boundaries(map),
+            self.crosswalks(map),
+            self.wait_lines(numbered(self.stop_lines(map))),
+        ];
+        tables.into_iter().filter(|table| !table.is_empty()).collect()
+    }
+
+    /// Returns the outlines of drivable areas and of the holes in them.
+    pub(super) fn road_boundaries(&self, map: &VectorMap) -> Table {
+        let rings =
+            map.drivable_area.iter().flat_map(|area| std::iter::once(&area.exterior).chain(&area.holes));
+        let lines = self.near(rings.map(|ring| closed(ring)).collect());
+        self.places("road_boundary", "road_boundary", numbered(lines), Vec::new())
+    }
+
+    fn crosswalks(&self, map: &VectorMap) -> Table {
+        let lines = self.near(map.crossings.iter().map(|area| area.exterior.clone()).collect());
+        self.places("crosswalk", "PEDESTRIAN", numbered(lines), Vec::new())
+    }
+
+    /// Returns the closed outlines of the stop areas near the ego's path.
+    pub(super) fn stop_lines(&self, map: &VectorMap) -> Vec<Vec<DVec2>> {
+        self.near(map.stop_lines.iter().map(|area| closed(&area.exterior)).collect())
+    }
+
+    /// Returns the table of stop lines, which are given with their ids.
+    pub(super) fn wait_lines(&self, lines: Vec<(String, Vec<DVec2>)>) -> Table {
+        let implicit = (flag("is_implicit"), Column::Bool(vec![false; lines.len()]));
+        let subtype = (text("intersection_subtype"), Column::Text(vec!["UNKNOWN".to_owned(); lines.len()]));
+        self.places("wait_line", "STOP", lines, vec![implicit, subtype])
+    }
+
+    /// Returns a table of lines of one category, which are given with their ids.
+    fn places(
+        &self,
+        kind: &'static str,
+        category: &str,
+        lines: Vec<(String, Vec<DVec2>)>,
+        more: Vec<(String, Column)>,
+    ) -> Table {
+        let (ids, lines): (Vec<String>, Vec<Vec<DVec2>>) = lines.into_iter().unzip();
+        let rows = lines.len();
+        let mut columns = self.map_key(ids);
+        columns.push(Column::Text(vec![category.to_owned(); rows]));
+        columns.extend(self.rail(&lines));
+        let fields = format!("{} {}", text("category"), points("location"));
+        let fields = more.iter().fold(fields, |fields, (field, _)| format!("{fields} {field}"));
+        columns.extend(more.into_iter().map(|(_, column)| column));
+        columns.push(Column::Int(vec![VERSION; rows]));
+        table(kind, &map_key(), &fields, columns)
     }
 
     fn lane_lines(&self, lines: &[Vec<DVec2>]) -> Table {
         let each = |value: &str| {
             Column::Texts(lines.iter().map(|line| vec![value.to_owned(); line.len()]).collect())
         };
-        let mut columns = self.map_key(lines.len());
+        let mut columns = self.map_key((0..lines.len()).map(|number| number.to_string()).collect());
         columns.extend(self.rail(lines));
         columns.extend([each("SOLID_SINGLE"), each("WHITE"), Column::Int(vec![VERSION; lines.len()])]);
         let fields = format!("{} {} {}", points("line_rail"), texts("styles"), texts("colors"));
         table("lane_line", &map_key(), &fields, columns)
     }
 
-    fn clip_ids(&self, rows: usize) -> Column {
+    pub(super) fn clip_ids(&self, rows: usize) -> Column {
         Column::Text(vec![self.name.clone(); rows])
     }
 
-    fn map_key(&self, rows: usize) -> Vec<Column> {
-        let same = |value: &str| Column::Text(vec![value.to_owned(); rows]);
-        vec![same(&self.name), same(&self.log.name), same(&self.log.location), same("1")]
+    /// Returns the key of map items with these ids.
+    pub(super) fn map_key(&self, ids: Vec<String>) -> Vec<Column> {
+        let same = |value: &str| Column::Text(vec![value.to_owned(); ids.len()]);
+        let [clip, label, version] = [same(&self.name), same(&self.log.name), same("1")];
+        vec![clip, label, Column::Text(ids), version]
     }
 
     /// Returns the lines with a point near the ego's path.
     fn near(&self, lines: Vec<Vec<DVec2>>) -> Vec<Vec<DVec2>> {
-        let path: Vec<DVec2> = self.frames.iter().map(|f| f.global_from_ego.translation.truncate()).collect();
-        let is_near = |at: &DVec2| path.iter().any(|ego| ego.distance(*at) < AROUND_M);
-        lines.into_iter().filter(|line| line.iter().any(is_near)).collect()
+        lines.into_iter().filter(|line| self.is_near(line)).collect()
+    }
+
+    /// Returns whether a line has a point near the ego's path.
+    pub(super) fn is_near(&self, line: &[DVec2]) -> bool {
+        let mut path = self.frames.iter().map(|frame| frame.global_from_ego.translation.truncate());
+        path.any(|ego| line.iter().any(|at| ego.distance(*at) < AROUND_M))
     }
 
     /// Returns points of lines in coordinates of the clip, at the height of the nearest ego pose.
-    fn rail(&self, lines: &[Vec<DVec2>]) -> [Column; 3] {
+    pub(super) fn rail(&self, lines: &[Vec<DVec2>]) -> [Column; 3] {
         let height = |at: DVec2| {
             let poses = self.frames.iter().map(|frame| frame.global_from_ego.translation);
             poses
@@ -205,7 +243,7 @@ impl<'a> Clip<'a> {
 }
 
 /// Returns the object type of a category.
-fn category(category: &str) -> &'static str {
+pub(in crate::layout) fn category(category: &str) -> &'static str {
     let has = |part: &str| category.split('.').any(|p| p == part);
     match () {
         () if has("bicycle") || has("motorcycle") => "rider",
@@ -224,6 +262,11 @@ fn closed(ring: &[DVec2]) -> Vec<DVec2> {
     ring.iter().chain(ring.first()).copied().collect()
 }
 
+/// Numbers lines from 0.
+fn numbered(lines: Vec<Vec<DVec2>>) -> Vec<(String, Vec<DVec2>)> {
+    lines.into_iter().enumerate().map(|(number, line)| (number.to_string(), line)).collect()
+}
+
 fn vector(values: impl Iterator<Item = DVec3> + Clone) -> [Column; 3] {
     std::array::from_fn(|axis| Column::Number(values.clone().map(|v| v[axis]).collect()))
 }
@@ -232,7 +275,7 @@ fn quaternion(values: impl Iterator<Item = DQuat> + Clone) -> [Column; 4] {
     std::array::from_fn(|axis| Column::Number(values.clone().map(|q| q.to_array()[axis]).collect()))
 }
 
-fn table(kind: &'static str, key: &str, fields: &str, columns: Vec<Column>) -> Table {
+pub(super) fn table(kind: &'static str, key: &str, fields: &str, columns: Vec<Column>) -> Table {
     let version = "required int64 version (INTEGER(64,false));";
     let schema = format!(
         "message table {{ required group key {{ {key} }} required group {kind} {{ {fields} }} {version} }}"
@@ -244,11 +287,11 @@ fn time_key() -> String {
     format!("{} required int64 timestamp_micros;", text("clip_id"))
 }
 
-fn map_key() -> String {
+pub(super) fn map_key() -> String {
     ["clip_id", "label_class_id", "map_id", "map_id_version"].map(text).join(" ")
 }
 
-fn text(name: &str) -> String {
+pub(super) fn text(name: &str) -> String {
     format!("required binary {name} (STRING);")
 }
 
@@ -256,21 +299,21 @@ fn flag(name: &str) -> String {
     format!("required boolean {name};")
 }
 
-fn xyz(name: &str) -> String {
+pub(super) fn xyz(name: &str) -> String {
     format!("required group {name} {{ required double x; required double y; required double z; }}")
 }
 
-fn xyzw(name: &str) -> String {
+pub(super) fn xyzw(name: &str) -> String {
     format!(
         "required group {name} {{ required double x; required double y; required double z; required double \
             w; }}"
     )
 }
 
-fn points(name: &str) -> String {
+pub(super) fn points(name: &str) -> String {
     format!("required group {name} (LIST) {{ repeated group list {{ {} }} }}", xyz("element"))
 }
 
-fn texts(name: &str) -> String {
+pub(super) fn texts(name: &str) -> String {
     format!("required group {name} (LIST) {{ repeated group list {{ {} }} }}", text("element"))
 }

@@ -15,6 +15,7 @@ fn exports_do_not_replace_foreign_files() {
     for (layout, file) in [
         ("webdataset", "tiny-000000.tar"),
         ("mcap", "tiny-000000.mcap"),
+        ("alpasim", "tiny.usdz"),
         ("frames", "tiny/000001/CAM_FRONT/color.png"),
         ("opendwm-preview", "tiny-000000/data.json"),
         ("pas-cache", "proj_clr/d1CAM_BACK.png"),
@@ -48,7 +49,7 @@ fn exports_do_not_replace_foreign_files() {
         // A folder of the way is a link.
         std::fs::write(&record, &record_text).unwrap();
         let Some((folder, _)) = file.split_once('/') else {
-            assert!(matches!(layout, "webdataset" | "mcap"), "{layout}: {file}");
+            assert!(matches!(layout, "webdataset" | "mcap" | "alpasim"), "{layout}: {file}");
             continue;
         };
         std::fs::rename(log.path("out").join(folder), log.path("stranger")).unwrap();
