@@ -228,6 +228,7 @@ WRONG_STARTS = {
     "other format": (change(lambda r: setattr(r.initial_frames[1], "format", video_model_pb2.JPEG)), "INVALID_ARGUMENT", "camera CAM_FRONT_RIGHT: expected an initial frame as JPEG, found "),
     "half": (change(lambda r: setattr(r.initial_frames[1], "data", r.initial_frames[1].data[:500])), "INVALID_ARGUMENT", "camera CAM_FRONT_RIGHT: expected an initial frame as PNG, found 500 bytes: "),
     "resolution": (change(lambda r: setattr(spec(r), "resolution_h", 20000)), "INVALID_ARGUMENT", "camera CAM_FRONT_RIGHT: expected "),
+    "pixels": (change(lambda r: [setattr(one, name, 4000) for one in r.camera_specs for name in ("resolution_h", "resolution_w")]), "RESOURCE_EXHAUSTED", "expected cameras of at most 67108864 pixels, found 96000000"),
     "intrinsics of the resolution": (change(lambda r: (setattr(spec(r), "resolution_h", 112), setattr(spec(r), "resolution_w", 200), setattr(spec(r).opencv_pinhole_param, "principal_point_x", 100.0), setattr(spec(r).opencv_pinhole_param, "principal_point_y", 56.0))), "INVALID_ARGUMENT", "camera CAM_FRONT_RIGHT: expected intrinsics in pixels of the first frame, 56x100, found a principal point at [100.0, 56.0]"),
     "no zip": (change(lambda r: setattr(r.static_world_map, "hdmap_parquets", b"PK" * 100)), "INVALID_ARGUMENT", "expected hdmap_parquets as a zip, found 200 bytes: "),
     "two clips": (change(lambda r: r.static_world_map.CopyFrom(hdmap("a.lane.parquet", "b.lane.parquet"))), "INVALID_ARGUMENT", "expected hdmap_parquets with files CLIP.NAME.parquet of one clip, found ['a', 'b']"),
@@ -266,24 +267,37 @@ def test_scenes_are_named_by_the_clip(towns: Towns) -> None:
         np.testing.assert_array_equal(found, towns.expected("fake:1:3", start, [request], 1))
 
 
-def test_sessions_are_limited_and_end_when_idle(towns: Towns) -> None:
-    with server(*towns.one, "--generator=fake:1:3", "--sessions=2", "--idle=2", program=FAKES) as (_, address):
+def test_sessions_are_limited(towns: Towns) -> None:
+    start = towns.start()
+    with server(*towns.one, "--generator=fake:1:3", "--sessions=2", program=FAKES) as (_, address):
         client = stub(address)
-        names = [client.start_session(towns.start()).session_id for _ in range(2)]
+        names = [client.start_session(start).session_id for _ in range(2)]
         with pytest.raises(grpc.RpcError) as error:
-            client.start_session(towns.start())
+            client.start_session(start)
         assert error.value.code() is grpc.StatusCode.RESOURCE_EXHAUSTED
         assert error.value.details() == "expected at most 2 sessions (--sessions), found as many that have not ended"
-        closed(client, names.pop())
-        names.append(client.start_session(towns.start()).session_id)
-        time.sleep(1.5)
-        client.render_video_chunk(towns.chunk(names[1], 0, 1))
-        time.sleep(1.0)
-        names.append(client.start_session(towns.start()).session_id)  # ends the first
+        closed(client, names[0])
+        client.start_session(start)
+        assert client.render_video_chunk(towns.chunk(names[1], 0, 1)).camera_outputs
+
+
+def test_idle_sessions_end(towns: Towns) -> None:
+    start = towns.start()
+    with server(*towns.one, "--generator=fake:1:3", "--sessions=1", "--idle=8", program=FAKES) as (_, address):
+        client = stub(address)
+        name = client.start_session(start).session_id
+        request = towns.chunk(name, 0, 1)
+        time.sleep(5.0)
+        client.render_video_chunk(request)
+        time.sleep(4.0)
+        with pytest.raises(grpc.RpcError) as error:  # more than 8 s after its start, but not after its last call
+            client.start_session(start)
+        assert error.value.code() is grpc.StatusCode.RESOURCE_EXHAUSTED
+        time.sleep(8.0)
+        client.start_session(start)
         with pytest.raises(grpc.RpcError) as error:
-            client.render_video_chunk(towns.chunk(names[0], 0, 1))
+            client.render_video_chunk(towns.chunk(name, 1, 1))
         assert error.value.code() is grpc.StatusCode.NOT_FOUND
-        assert client.render_video_chunk(towns.chunk(names[1], 1, 1)).camera_outputs
 
 
 def test_a_failed_generator_ends_its_session_alone(towns: Towns) -> None:
@@ -422,6 +436,20 @@ def test_mistakes_of_the_command(towns: Towns) -> None:
         command = [sys.executable, "-m", "pskel.serve", *towns.one, "--port=0", "--generator=fill", *arguments]
         done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60)
         assert done.returncode == 2 and text in done.stderr, done.stderr
+
+
+def test_a_first_chunk_one_interval_after_the_start_of_the_log(towns: Towns) -> None:
+    """AlpaSim rounds the interval down: at 60 Hz the first frames are 0.7 us before the log."""
+    log = towns.logs[0]
+    with server(*towns.one, "--generator=fake:2:0", "--fps=60", program=FAKES) as (_, address):
+        client = stub(address)
+        name = client.start_session(towns.start()).session_id
+        request = chunk(name, log, log.times_us[0] + 1_000_000 // 60, 1)
+        answers = [client.render_video_chunk(request)]
+        request.rig_trajectory.poses[0].timestamp_us += 1_000_000 // 60
+        request.ClearField("dynamic_state")
+        answers.append(client.render_video_chunk(request))
+        assert pictures(answers).any(axis=(1, 2, 3, 4)).all()
 
 
 def test_sensors_are_served_beside(towns: Towns) -> None:

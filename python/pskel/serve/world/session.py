@@ -163,6 +163,8 @@ class Session:
         """
         log, t_us = self._scene.log, round(first_us - self._interval_us)
         start_us, end_us = log.times_us[0], log.times_us[-1]
+        if abs(start_us - t_us) <= RATE_SHARE * self._interval_us:  # clients round the interval down
+            t_us = start_us
         if not start_us <= t_us <= end_us:
             text = f"expected first frames at a time of {log.name}, {start_us} to {end_us} us, found {t_us}"
             raise RequestError(grpc.StatusCode.FAILED_PRECONDITION, text)

@@ -60,6 +60,9 @@ def views(request: video_model_pb2.SessionRequest) -> list[View]:
     names = [spec.logical_id for spec in specs]
     if len(set(names)) < len(names) or not all(names):
         raise invalid("camera_specs with different logical_id", names)
+    if (pixels := sum(spec.resolution_h * spec.resolution_w for spec in specs)) > MAX_PIXELS:
+        text = f"expected cameras of at most {MAX_PIXELS} pixels, found {pixels}"
+        raise RequestError(grpc.StatusCode.RESOURCE_EXHAUSTED, text)
     result = []
     for spec, frame, mount in zip(specs, frames, mounts, strict=True):
         try:
