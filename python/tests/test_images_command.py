@@ -16,17 +16,17 @@ import pytest
 
 Image = pytest.importorskip("PIL.Image", reason="Pillow is not installed")
 
-LOG = "town:seed=7,frames=6,size=45x80"
+LOG = "town:seed=7,frames=4,size=45x80"
 SIZE = (45, 80)
 EXAMPLE = Path(__file__).parents[2] / "examples" / "images.py"
-PER_PLAN, STEPS, REFERENCES = 2, 60, 3
+PER_PLAN, STEPS, REFERENCES = 2, 24, 3
 Images = list[np.ndarray[Any, Any]]
 
 
 @pytest.fixture(scope="module")
 def skeleton(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("skeleton") / "sk"
-    pskel.build(LOG, folder)
+    pskel.build(pskel.Log(LOG), folder)
     return folder
 
 
@@ -64,7 +64,7 @@ def test_the_example_is_fill_killed_and_resumed(skeleton: Path, recipe: Path, fi
     assert len(expected) == 6 * (STEPS // PER_PLAN + 1)
     out = tmp_path / "out"
     program = subprocess.Popen(command(skeleton, recipe, out, example()), stderr=subprocess.PIPE)
-    while not (out / "steps" / "000021").exists():
+    while not (out / "steps" / "000011").exists():
         assert program.poll() is None, program.communicate()[1]
         time.sleep(0.05)
     program.send_signal(signal.SIGKILL)

@@ -240,8 +240,8 @@ def test_rollouts_without_ground_truth_are_compared_with_reference_images(tmp_pa
 
 def test_features_are_computed_once(tmp_path, inception_weights):
     """An interrupted run continues, and its files are those of an uninterrupted one."""
-    rollouts = [write_rollout(tmp_path / name, 11) for name in ("a", "b")]
-    weights = ["--inception", inception_weights, "--frames", 10, "--out"]
+    rollouts = [write_rollout(tmp_path / name, 3) for name in ("a", "b")]
+    weights = ["--inception", inception_weights, "--frames", 2, "--out"]
     once = run(*rollouts, *weights, tmp_path / "once")
     assert once.returncode == 0, once.stderr
     assert run(rollouts[0], *weights, tmp_path / "parts").returncode == 0

@@ -11,6 +11,9 @@ use super::super::world_scenario::{Clip, category};
 use super::archive::Entry;
 use super::cameras::Cameras;
 
+/// Boxes of a track with their times.
+type Boxes = Vec<(i64, Cuboid)>;
+
 /// Boxes of a track between which AlpaSim interpolates.
 const MIN_BOXES: usize = 2;
 
@@ -60,7 +63,7 @@ pub(super) fn rig_trajectories(clip: &Clip<'_>, cameras: &Cameras<'_>) -> Value 
 /// All are `CONTROLLABLE`: AlpaSim takes others for a part of the background and does not name them to the
 /// renderer. The size of a track is the median of its boxes.
 pub(super) fn sequence_tracks(clip: &Clip<'_>) -> (Value, usize) {
-    let mut boxes: Vec<Vec<(i64, Cuboid)>> = vec![Vec::new(); clip.log.tracks.len()];
+    let mut boxes: Vec<Boxes> = vec![Vec::new(); clip.log.tracks.len()];
     for frame in clip.frames {
         for item in &frame.boxes {
             boxes[item.track].push((frame.t_us, item.cuboid));
@@ -70,7 +73,7 @@ pub(super) fn sequence_tracks(clip: &Clip<'_>) -> (Value, usize) {
         of_track.dedup_by_key(|(t_us, _)| *t_us);
     }
     let skipped = boxes.iter().filter(|boxes| boxes.len() == 1).count();
-    let (tracks, boxes): (Vec<&Track>, Vec<Vec<(i64, Cuboid)>>) =
+    let (tracks, boxes): (Vec<&Track>, Vec<Boxes>) =
         clip.log.tracks.iter().zip(boxes).filter(|(_, boxes)| boxes.len() >= MIN_BOXES).unzip();
     let pose = |pose: Pose| {
         let pose = clip.clip_from_global * pose;
@@ -78,10 +81,9 @@ pub(super) fn sequence_tracks(clip: &Clip<'_>) -> (Value, usize) {
         let [qx, qy, qz, qw] = pose.rotation.to_array();
         [x, y, z, qx, qy, qz, qw]
     };
-    let poses =
-        |boxes: &Vec<(i64, Cuboid)>| boxes.iter().map(|(_, cuboid)| json!(pose(cuboid.pose))).collect();
-    let times_us = |boxes: &Vec<(i64, Cuboid)>| boxes.iter().map(|(t_us, _)| *t_us).collect();
-    let size = |boxes: &Vec<(i64, Cuboid)>| median(boxes.iter().map(|(_, cuboid)| cuboid.size));
+    let poses = |boxes: &Boxes| boxes.iter().map(|(_, cuboid)| json!(pose(cuboid.pose))).collect();
+    let times_us = |boxes: &Boxes| boxes.iter().map(|(t_us, _)| *t_us).collect();
+    let size = |boxes: &Boxes| median(boxes.iter().map(|(_, cuboid)| cuboid.size));
     let labels: Vec<&str> = tracks.iter().map(|track| category(&track.category)).collect();
     let document = json!({
         clip.name.clone(): {
