@@ -54,7 +54,12 @@ def _protoc(root: Path, *options: str) -> None:
 
 def _stubs(file: descriptor_pb2.FileDescriptorProto) -> str:
     """Types of the client and server classes of a file; grpcio-tools writes none."""
-    packages = {"common": "common_pb2", "egodriver": "egodriver_pb2", "nre.grpc.protos.sensorsim": "sensorsim_pb2"}
+    packages = {
+        "common": "common_pb2",
+        "egodriver": "egodriver_pb2",
+        "nre.grpc.protos.sensorsim": "sensorsim_pb2",
+        "omnidreams.video_model": "video_model_pb2",
+    }
 
     def name(full: str) -> str:
         package, _, message = full.removeprefix(".").rpartition(".")

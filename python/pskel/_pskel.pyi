@@ -98,6 +98,7 @@ class Scene:
         *,
         name: str = "000000",
         t_us: int = 0,
+        map_of: Scene | None = None,
     ) -> Self: ...
     @property
     def name(self) -> str: ...

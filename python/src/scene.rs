@@ -164,9 +164,9 @@ impl Actor {
 /// State of a scene at one instant: ego pose, cameras and actors. Immutable: methods return changed copies,
 /// and arrays are copies.
 ///
-/// A new scene has no HD map. `ego` is `global_from_ego` `[4, 4]` in meters, `name` the folder name of its
-/// maps, `t_us` its time in microseconds. Raises `ValueError` if the name of a camera or a track occurs
-/// twice.
+/// A new scene has the HD map of `map_of`, a scene of the log whose coordinates it has, else none. `ego` is
+/// `global_from_ego` `[4, 4]` in meters, `name` the folder name of its maps, `t_us` its time in microseconds.
+/// Raises `ValueError` if the name of a camera or a track occurs twice.
 #[pyclass(frozen, module = "pskel")]
 pub(crate) struct Scene {
     pub(crate) inner: Arc<SceneState>,
@@ -200,13 +200,14 @@ impl Scene {
 #[pymethods]
 impl Scene {
     #[new]
-    #[pyo3(signature = (ego, cameras, actors=None, *, name="000000", t_us=0))]
+    #[pyo3(signature = (ego, cameras, actors=None, *, name="000000", t_us=0, map_of=None))]
     fn from_parts(
         ego: Numbers<'_>,
         cameras: Vec<PyRef<'_, Camera>>,
         actors: Option<Vec<PyRef<'_, Actor>>>,
         name: &str,
         t_us: i64,
+        map_of: Option<PyRef<'_, Self>>,
     ) -> PyResult<Self> {
         let global_from_ego = pose("ego", &ego)?;
         let actors = actors.unwrap_or_default();
@@ -234,8 +235,10 @@ impl Scene {
         let name: FileName = name.parse().map_err(invalid)?;
         let cameras = cameras.iter().map(camera).collect();
         let name = name.to_string();
-        let state = SceneState { name, t_us, global_from_ego, cameras, actors, map: None };
-        Ok(Self { inner: Arc::new(state), log: None })
+        let map = map_of.as_ref().and_then(|scene| scene.inner.map.clone());
+        let log = map_of.as_ref().and_then(|scene| scene.log.clone());
+        let state = SceneState { name, t_us, global_from_ego, cameras, actors, map };
+        Ok(Self { inner: Arc::new(state), log })
     }
 
     /// Name, the folder name of the maps.

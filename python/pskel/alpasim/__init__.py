@@ -1,8 +1,8 @@
-"""Messages and services of AlpaSim (alpasim_grpc 0.54.0): ``common_pb2``, ``sensorsim_pb2``, ``egodriver_pb2`` and their ``_grpc``.
+"""Messages and services of AlpaSim (alpasim_grpc 0.54.0): ``common_pb2``, ``sensorsim_pb2``, ``egodriver_pb2``, ``video_model_pb2``.
 
-The modules are generated from the ``.proto`` files of this folder by ``ci/protos.py``. Wire format and
-service names are taken from AlpaSim (https://github.com/NVlabs/alpasim, Apache-2.0). They need the extra
-``alpasim`` (grpcio and protobuf).
+The modules, and those of their services (``_grpc``), are generated from the ``.proto`` files of this folder by ``ci/protos.py``. Wire
+format and service names are taken from AlpaSim (https://github.com/NVlabs/alpasim, Apache-2.0). They need the extra ``alpasim`` (grpcio
+and protobuf).
 """
 
 from __future__ import annotations

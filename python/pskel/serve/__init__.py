@@ -1,8 +1,8 @@
-"""Renderer of AlpaSim: ``python -m pskel.serve SKELETON.. --log LOG..`` serves ``nre.grpc.protos.sensorsim.SensorsimService``.
+"""Renderer and world model of AlpaSim: ``python -m pskel.serve SKELETON.. --log LOG..``.
 
-A scene is a log with its skeleton. Requests name a scene, cameras with their poses, and tracks with the poses of their boxes; the
-answers are images. Requests are independent of each other, so the server keeps no state but open scenes. It needs the extra
-``alpasim``.
+A scene is a log with its skeleton. ``nre.grpc.protos.sensorsim.SensorsimService`` answers requests that name a scene, cameras with
+their poses, and tracks with the poses of their boxes; they are independent of each other. With ``--generator``,
+``omnidreams.video_model.WorldModelService`` generates the images of sessions. It needs the extra ``alpasim``.
 """
 
 from .service import Service, serve

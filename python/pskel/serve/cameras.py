@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import grpc
@@ -33,12 +34,14 @@ class Projection:
     """A camera as the pinhole that is rendered: intrinsics ``[3, 3]`` and size (height, width), pixels.
 
     ``source`` has for each pixel of the image, ``int64 [H, W]``, the index of its pixel in the pinhole image, -1 if no ray reaches
-    it; ``None`` if the image is the pinhole's.
+    it. ``lens`` maps points ``[.., 2]`` of the plane z = 1 to positions in the image, ``nan`` outside the lens. Both are ``None`` if
+    the image is the pinhole's.
     """
 
     intrinsics: Array
     size: tuple[int, int]
     source: NDArray[np.int64] | None
+    lens: Callable[[Array], Array] | None
 
     def image(self, pinhole: NDArray[np.uint8]) -> NDArray[np.uint8]:
         """Return the camera's image ``[H, W, 3]`` of a pinhole image: the nearest pixel of each ray, black without one."""
@@ -46,6 +49,17 @@ class Projection:
             return pinhole
         flat = np.concatenate([pinhole.reshape(-1, 3), np.zeros((1, 3), np.uint8)])
         return flat[self.source]
+
+    def pinhole(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        """Return the pinhole image of a camera's image ``[H, W, 3]``: the nearest pixel of each ray, black outside the image."""
+        if self.lens is None or self.source is None:
+            return image
+        height, width = self.source.shape
+        at = self.lens(_plane(self.intrinsics, self.size))
+        with np.errstate(invalid="ignore"):
+            inside = ((at >= 0.0) & (at < (width, height))).all(axis=-1, keepdims=True)
+        column, row = np.moveaxis(np.where(inside, at, 0.0).astype(np.int64), -1, 0)
+        return np.where(inside, image[row, column], np.uint8(0))
 
 
 def projection(spec: CameraSpec, size: tuple[int, int]) -> Projection:
@@ -84,7 +98,7 @@ def _pinhole(param: sensorsim_pb2.OpenCVPinholeCameraParam, size: tuple[int, int
     p = _numbers("tangential_coeffs", param.tangential_coeffs, 2)
     s = _numbers("thin_prism_coeffs", param.thin_prism_coeffs, 4)
     if not (k.any() or p.any() or s.any()):
-        return Projection(intrinsics, size, None)
+        return Projection(intrinsics, size, None, None)
     wanted = _plane(intrinsics, size)
     found = wanted.copy()
     for _ in range(100):  # x = (x_d - offset(x)) / factor(x)
@@ -95,7 +109,12 @@ def _pinhole(param: sensorsim_pb2.OpenCVPinholeCameraParam, size: tuple[int, int
     with np.errstate(all="ignore"):
         error = np.abs((found * factor[..., None] + offset - wanted) * intrinsics[[0, 1], [0, 1]]).max(axis=-1)
     known = (error < INVERTED_PX) & (factor > 0.0)
-    return _remapped(intrinsics, size, np.where(known[..., None], found, np.nan))
+
+    def lens(xy: Array) -> Array:
+        factor, offset = _brown_conrady(xy, k, p, s)
+        return (xy * factor[..., None] + offset) * intrinsics[[0, 1], [0, 1]] + intrinsics[:2, 2]
+
+    return _remapped(intrinsics, size, np.where(known[..., None], found, np.nan), lens)
 
 
 def _brown_conrady(xy: Array, k: Array, p: Array, s: Array) -> tuple[Array, Array]:
@@ -116,7 +135,11 @@ def _fisheye(param: sensorsim_pb2.OpenCVFisheyeCameraParam, size: tuple[int, int
     powers[1::2] = [1.0, *k]
     angles = _inverse(powers, param.max_angle)
     plane = _plane(intrinsics, size)
-    return _remapped(intrinsics, size, _rays(plane, angles))
+
+    def lens(xy: Array) -> Array:
+        return angles.positions(xy) * intrinsics[[0, 1], [0, 1]] + intrinsics[:2, 2]
+
+    return _remapped(intrinsics, size, _rays(plane, angles), lens)
 
 
 def _ftheta(param: sensorsim_pb2.FthetaCameraParam, size: tuple[int, int], scale: Array) -> Projection:
@@ -140,7 +163,12 @@ def _ftheta(param: sensorsim_pb2.FthetaCameraParam, size: tuple[int, int], scale
     u, v = _pixels(size)
     plane = np.stack([u - center[0], v - center[1]], axis=-1) @ np.linalg.inv(stretch).T / scale[0]
     intrinsics = np.array([[focal, 0.0, center[0]], [0.0, focal, center[1]], [0.0, 0.0, 1.0]])
-    return _remapped(intrinsics, size, _rays(plane, angles))
+
+    def lens(xy: Array) -> Array:
+        moved: Array = angles.positions(xy) @ stretch.T * scale[0] + center
+        return moved
+
+    return _remapped(intrinsics, size, _rays(plane, angles), lens)
 
 
 def _pixels(size: tuple[int, int]) -> tuple[Array, Array]:
@@ -174,6 +202,15 @@ class _Angles:
     def __call__(self, radius: Array) -> Array:
         return np.interp(radius, self._radius, self._angle, right=np.nan)
 
+    def positions(self, plane: Array) -> Array:
+        """Return for points ``[.., 2]`` of the plane z = 1 those whose distance to the axis gives their angle; ``nan`` beyond the end."""
+        tangent = np.linalg.norm(plane, axis=-1)
+        radius = np.interp(np.arctan(tangent), self._angle, self._radius, right=np.nan)
+        with np.errstate(all="ignore"):
+            stretch = np.where(tangent > 0.0, radius / tangent, 1.0)
+        moved: Array = plane * stretch[..., None]
+        return moved
+
 
 def _inverse(powers: Array, max_angle: float) -> _Angles:
     """Return the inverse of a polynomial from angles to distances, up to where it stops to rise."""
@@ -206,8 +243,11 @@ def _rising(values: Array, positions: Array) -> tuple[Array, Array]:
     return values[:count], positions[:count]
 
 
-def _remapped(intrinsics: Array, size: tuple[int, int], plane: Array) -> Projection:
-    """Return a projection by the points of the plane z = 1 at its pixels, ``nan`` without one."""
+def _remapped(intrinsics: Array, size: tuple[int, int], plane: Array, lens: Callable[[Array], Array]) -> Projection:
+    """Return a projection by the points of the plane z = 1 at its pixels, ``nan`` without one, and its model.
+
+    The model is used up to the largest distance to the axis among these points: farther out it may turn back.
+    """
     (fx, _, cx), (_, fy, cy), _ = intrinsics
     known = np.isfinite(plane).all(axis=-1) & (np.hypot(plane[..., 0], plane[..., 1]) < math.tan(MAX_ANGLE))
     if not known.any():
@@ -220,7 +260,12 @@ def _remapped(intrinsics: Array, size: tuple[int, int], plane: Array) -> Project
         raise invalid(f"a lens that a pinhole of {MAX_SIDE} pixels and 160 degrees shows", f"one of {height}x{width}")
     source = np.where(known, (v - top) * width + (u - left), -1.0).astype(np.int64)
     moved = intrinsics - np.array([[0.0, 0.0, left], [0.0, 0.0, top], [0.0, 0.0, 0.0]])
-    return Projection(moved, (height, width), source)
+    reach = 1.01 * float(np.linalg.norm(plane[known], axis=-1).max())
+
+    def limited(xy: Array) -> Array:
+        return np.where(np.linalg.norm(xy, axis=-1, keepdims=True) <= reach, lens(xy), np.nan)
+
+    return Projection(moved, (height, width), source, limited)
 
 
 def _numbers(name: str, given: object, most: int) -> Array:

@@ -2,7 +2,16 @@
 
 from __future__ import annotations
 
+import sys
+import traceback
+from collections.abc import Callable
+from typing import Any, TypeVar
+
 import grpc
+
+import pskel
+
+Answer = TypeVar("Answer")
 
 
 class RequestError(Exception):
@@ -21,3 +30,19 @@ def invalid(expected: str, found: object) -> RequestError:
 def unknown(expected: str, found: object) -> RequestError:
     """Return the error of a name that nothing has."""
     return RequestError(grpc.StatusCode.NOT_FOUND, f"expected {expected}, found {found}")
+
+
+def answered(context: Any, answer: Callable[[], Answer]) -> Answer:
+    """Return an answer, or end the call with the status of its error."""
+    try:
+        return answer()
+    except RequestError as error:
+        code, text = error.code, str(error)
+    except Exception as error:  # a call must not end the server
+        if not isinstance(error, pskel.Error):
+            traceback.print_exc()
+        code, text = grpc.StatusCode.INTERNAL, f"{type(error).__name__}: {error}"
+    text = " ".join(text.split())
+    print(f"pskel.serve: {code.name}: {text}", file=sys.stderr, flush=True)
+    context.abort(code, text[:1000])
+    raise AssertionError  # abort raises

@@ -31,10 +31,11 @@ class Scene:
     """An open scene. Its methods may be called from any thread."""
 
     def __init__(self, log: pskel.Log, skeleton: pskel.Skeleton, splat: str | None) -> None:
-        maps = ["color", "depth"]
-        self._renderer = pskel.Renderer(skeleton, maps=maps, log=log.name, splat=splat)
+        self.log = log
+        self.skeleton = skeleton
+        self.renderer = pskel.Renderer(skeleton, maps=["color", "depth"], log=log.name, splat=splat)
         frames = [log[index] for index in range(len(log))]
-        first = log.at(log.times_us[0])
+        self.first = first = log.at(log.times_us[0])
         self.trajectory = [(scene.t_us, scene.ego) for scene in frames]
         self.origin = poses.local_origin(first.ego[:3, 3])
         mounts = np.linalg.inv(first.ego) @ np.linalg.inv(first.camera_from_global)
@@ -62,7 +63,7 @@ class Scene:
             pskel.Camera(f"camera{number}", projection.intrinsics, projection.size, np.linalg.inv(ego) @ pose)
             for number, (projection, pose) in enumerate(views)
         ]
-        return self._renderer.render(pskel.Scene(ego, cameras, actors))
+        return self.renderer.render(pskel.Scene(ego, cameras, actors))
 
 
 class Scenes:

@@ -3,33 +3,28 @@
 from __future__ import annotations
 
 import os
-import sys
-import traceback
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import Any, TypeVar
+from typing import Any
 
 import grpc
 import numpy as np
 from numpy.typing import NDArray
 
 import pskel
-from pskel.alpasim import API_VERSION, common_pb2, poses, sensorsim_pb2, sensorsim_pb2_grpc
+from pskel.alpasim import common_pb2, poses, sensorsim_pb2, sensorsim_pb2_grpc, video_model_pb2_grpc
 from pskel.alpasim.pinhole import pinhole
 from pskel.alpasim.poses import Matrix
 
 from . import cameras, images
 from .cameras import MAX_PIXELS, Projection
-from .errors import RequestError, invalid, unknown
+from .errors import RequestError, answered, invalid, unknown
+from .messages import MAX_MESSAGE, sized, version
 from .scenes import RigCamera, Scene, Scenes
+from .world import WorldModel
 
 Request = sensorsim_pb2.RGBRenderRequest
-Answer = TypeVar("Answer")
-Message = TypeVar("Message", sensorsim_pb2.AggregatedRenderReturn, sensorsim_pb2.BatchRGBRenderReturn)
-
-#: Largest message in each direction, bytes; that of AlpaSim's runtime.
-MAX_MESSAGE = 64 << 20
 #: Largest number of images in a request.
 MAX_IMAGES = 256
 #: Time for the calls in progress when the server stops, seconds.
@@ -64,9 +59,7 @@ class Service(sensorsim_pb2_grpc.SensorsimServiceServicer):
         self._pool = ThreadPoolExecutor(os.cpu_count())  # encodes images
 
     def get_version(self, request: common_pb2.Empty, context: Any) -> common_pb2.VersionId:
-        major, minor, patch = API_VERSION
-        version = common_pb2.VersionId.APIVersion(major=major, minor=minor, patch=patch)
-        return common_pb2.VersionId(version_id=f"pskel {pskel.__version__}", git_hash="", grpc_api_version=version)
+        return version()
 
     def get_available_scenes(self, request: common_pb2.Empty, context: Any) -> common_pb2.AvailableScenesReturn:
         return common_pb2.AvailableScenesReturn(scene_ids=self._scenes.names)
@@ -86,7 +79,7 @@ class Service(sensorsim_pb2_grpc.SensorsimServiceServicer):
             made = [_described(name, camera) for name, camera in scene.cameras.items()]
             return sensorsim_pb2.AvailableCamerasReturn(available_cameras=made)
 
-        return _answered(context, answer)
+        return answered(context, answer)
 
     def get_available_trajectories(
         self, request: sensorsim_pb2.AvailableTrajectoriesRequest, context: Any
@@ -101,13 +94,13 @@ class Service(sensorsim_pb2_grpc.SensorsimServiceServicer):
                 available_trajectories=[kind(trajectory=common_pb2.Trajectory(poses=at))]
             )
 
-        return _answered(context, answer)
+        return answered(context, answer)
 
     def get_available_ego_masks(self, request: common_pb2.Empty, context: Any) -> sensorsim_pb2.AvailableEgoMasksReturn:
         return sensorsim_pb2.AvailableEgoMasksReturn()
 
     def render_rgb(self, request: Request, context: Any) -> sensorsim_pb2.RGBRenderReturn:
-        return _answered(context, lambda: self._all([request], context)[0])
+        return answered(context, lambda: self._all([request], context)[0])
 
     def render_aggregated(
         self, request: sensorsim_pb2.AggregatedRenderRequest, context: Any
@@ -116,9 +109,9 @@ class Service(sensorsim_pb2_grpc.SensorsimServiceServicer):
             if request.lidar_requests:
                 raise RequestError(grpc.StatusCode.UNIMPLEMENTED, "expected no lidar_requests, found some")
             made = self._all(request.rgb_requests, context)
-            return _sized(sensorsim_pb2.AggregatedRenderReturn(rgb_returns=made))
+            return sized(sensorsim_pb2.AggregatedRenderReturn(rgb_returns=made))
 
-        return _answered(context, answer)
+        return answered(context, answer)
 
     def batch_render_rgb(
         self, request: sensorsim_pb2.BatchRGBRenderRequest, context: Any
@@ -145,9 +138,9 @@ class Service(sensorsim_pb2_grpc.SensorsimServiceServicer):
                 else kind(camera_name=name, success=False, error_message=errors[name])
                 for name in names
             ]
-            return _sized(sensorsim_pb2.BatchRGBRenderReturn(items=items))
+            return sized(sensorsim_pb2.BatchRGBRenderReturn(items=items))
 
-        return _answered(context, answer)
+        return answered(context, answer)
 
     def _all(self, requests: Sequence[Request], context: Any) -> list[sensorsim_pb2.RGBRenderReturn]:
         known: Known = {}
@@ -238,34 +231,13 @@ def _described(name: str, camera: RigCamera) -> sensorsim_pb2.AvailableCamerasRe
     return pinhole(name, camera.intrinsics, camera.size, camera.ego_from_camera)
 
 
-def _sized(answer: Message) -> Message:
-    """Return an answer after checking that its receiver takes it."""
-    if answer.ByteSize() > MAX_MESSAGE:
-        text = f"expected an answer of at most {MAX_MESSAGE} bytes, found {answer.ByteSize()}: ask for fewer images, or for JPEG"
-        raise RequestError(grpc.StatusCode.RESOURCE_EXHAUSTED, text)
-    return answer
-
-
-def _answered(context: Any, answer: Callable[[], Answer]) -> Answer:
-    """Return an answer, or end the call with the status of its error."""
-    try:
-        return answer()
-    except RequestError as error:
-        code, text = error.code, str(error)
-    except Exception as error:  # a call must not end the server
-        if not isinstance(error, pskel.Error):
-            traceback.print_exc()
-        code, text = grpc.StatusCode.INTERNAL, f"{type(error).__name__}: {error}"
-    print(f"pskel.serve: {code.name}: {text}", file=sys.stderr, flush=True)
-    context.abort(code, " ".join(text.split())[:1000])
-    raise AssertionError  # abort raises
-
-
-def serve(service: Service, address: str, threads: int) -> tuple[grpc.Server, int]:
-    """Start a server; returns it and its port. Raises ``OSError`` if the address cannot be used."""
+def serve(service: Service, address: str, threads: int, world: WorldModel | None = None) -> tuple[grpc.Server, int]:
+    """Start a server, also of a world model if there is one; returns it and its port. Raises ``OSError`` if the address cannot be used."""
     limits = [("grpc.max_send_message_length", MAX_MESSAGE), ("grpc.max_receive_message_length", MAX_MESSAGE)]
     server = grpc.server(ThreadPoolExecutor(threads), options=[*limits, ("grpc.so_reuseport", 0)])
     sensorsim_pb2_grpc.add_SensorsimServiceServicer_to_server(service, server)
+    if world is not None:
+        video_model_pb2_grpc.add_WorldModelServiceServicer_to_server(world, server)
     try:
         port = server.add_insecure_port(address)
     except RuntimeError:

@@ -23,11 +23,12 @@ def protos(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
 
 def test_modules_have_the_schemas_of_the_proto_files(protos: ModuleType) -> None:
     from google.protobuf import descriptor_pb2
-    from pskel.alpasim import common_pb2, egodriver_pb2, sensorsim_pb2
+    from pskel.alpasim import common_pb2, egodriver_pb2, sensorsim_pb2, video_model_pb2
 
+    modules = (common_pb2, sensorsim_pb2, egodriver_pb2, video_model_pb2)
     files = protos.descriptors().file
-    assert [file.name for file in files] == [f"pskel/alpasim/{name}.proto" for name in ("common", "sensorsim", "egodriver")]
-    for file, module in zip(files, (common_pb2, sensorsim_pb2, egodriver_pb2), strict=True):
+    assert [file.name for file in files] == [f"pskel/alpasim/{name}.proto" for name in ("common", "sensorsim", "egodriver", "video_model")]
+    for file, module in zip(files, modules, strict=True):
         committed = descriptor_pb2.FileDescriptorProto()
         module.DESCRIPTOR.CopyToProto(committed)
         for message in (*committed.message_type, *file.message_type):
@@ -50,7 +51,7 @@ def test_modules_equal_a_new_generation(protos: ModuleType, tmp_path: Path) -> N
         pytest.skip(f"needs grpcio-tools {GENERATOR}")
     protos.generate(tmp_path)
     new = {path.name: path.read_text() for path in (tmp_path / "pskel/alpasim").iterdir()}
-    assert len(new) == 10
+    assert len(new) == 14
     assert new == {path.name: path.read_text() for path in COMMITTED.glob("*_pb2*.py*")}
 
 
