@@ -139,9 +139,9 @@ def test_the_same_for_the_states_of_another_simulation(skeleton: Path, recipe: P
     states, frame = simulation(log), 0
     for expected in pictures(filled):
         scene = states.scene
-        # A scene of another program has no log, and no HD map but the log's.
+        # A scene of another program has no log, and the HD map of one.
         cameras = [scene.camera(camera) for camera in scene.cameras]
-        own = log.adopt(pskel.Scene(scene.ego, cameras, scene.actors, t_us=scene.t_us))
+        own = pskel.Scene(scene.ego, cameras, scene.actors, t_us=scene.t_us, map_of=log[0])
         if frame < REFERENCES:
             generator.add_reference(renderer, own, expected)
         else:

@@ -9,7 +9,7 @@ use numpy::{PyArray1, PyArray4, PyArrayMethods};
 use point_skeleton::dataset::{Frame, Gap, LogLocator, LogOpener, ReadOptions, register};
 use point_skeleton::error::with_causes;
 use point_skeleton::geometry::View;
-use point_skeleton::scene::{GroundTruthImages, SceneState};
+use point_skeleton::scene::GroundTruthImages;
 use pskel_eval::protocol::SIMGEN_FORMAT;
 use pskel_sim::Rates;
 use pyo3::exceptions::{PyIndexError, PyOverflowError, PyUserWarning, PyValueError};
@@ -130,12 +130,6 @@ impl Log {
     #[getter]
     fn name(&self) -> &str {
         self.inner.name()
-    }
-
-    /// Returns a scene of your own as one of this log: with its HD map.
-    fn adopt(&self, scene: &Scene) -> Scene {
-        let state = SceneState { map: self.inner.map(), ..(*scene.inner).clone() };
-        Scene::of_log(state, &self.inner)
     }
 
     /// Identifier within the data set: the token of the scene in nuScenes, else empty.
