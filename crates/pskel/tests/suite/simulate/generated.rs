@@ -330,7 +330,11 @@ fn invalid_generators_are_rejected_before_writing() {
         (format!("{GENERATE} --guidance=-1"), 2, ["--guidance", "factor"]),
         (format!("{network} --window 5"), 2, ["expected a window of at most 4", "found 5"]),
         (format!("{network} --sampler ddim_sample"), 2, ["process:.. with --sampler", "found"]),
-        (format!("{network} --generator-timeout 5"), 2, ["process:.. or images:.. with --generator-timeout", "found"]),
+        (
+            format!("{network} --generator-timeout 5"),
+            2,
+            ["process:.. or images:.. with --generator-timeout", "found"],
+        ),
         (format!("{network} --strategy causal,clean=1"), 2, ["history_noise=N with causal", "clean=1"]),
         (format!("{network} --guide all"), 2, ["--guidance other than 1 with --guide", "found"]),
         (network.replace("w.safetensors", "missing"), 1, ["cannot read", "missing"]),
