@@ -138,7 +138,7 @@ impl FromStr for GeneratorName {
         match text.strip_prefix("images:") {
             Some(address) => address.parse().map(Self::Images).map_err(|error: PeerError| error.to_string()),
             None => {
-                text.parse().map(Self::Network).map_err(|error| format!("{error}; or the same with images:"))
+                text.parse().map(Self::Network).map_err(|error| format!("{error}, or images: in place of process:"))
             }
         }
     }

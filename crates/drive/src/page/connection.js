@@ -102,7 +102,7 @@ function receive(text) {
       emit("who");
       break;
     case "view":
-      state.view = { ...state.view, ...(message.view ?? message) };
+      state.view = message.view;
       emit("view", state.view);
       break;
     case "who":
