@@ -21,6 +21,7 @@ __all__ = [
     "Export",
     "Forecast",
     "Frames",
+    "Generator",
     "Log",
     "LogError",
     "RenderError",

@@ -1,6 +1,7 @@
 """Generators of the tests of the image protocol: image_generators.py CLASS [ADDRESS]."""
 
 import os
+import signal
 import sys
 
 import numpy as np
@@ -38,4 +39,5 @@ class Moody(Mean):
 
 
 if __name__ == "__main__":
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # a test that runs in the background ignores it
     images.serve(globals()[sys.argv[1]], *sys.argv[2:3])
