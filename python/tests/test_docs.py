@@ -16,7 +16,7 @@ PAGE = Path(__file__).parents[2] / "docs/src/guide/python.md"
 
 def page() -> list[str]:
     blocks = re.findall(r"```python\n(.*?)```", PAGE.read_text(), re.DOTALL)
-    assert len(blocks) == 7
+    assert len(blocks) == 8
     return blocks
 
 

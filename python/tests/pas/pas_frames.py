@@ -75,6 +75,7 @@ def peer(base: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Peer]
         "dtype": "F32",
         "image_size": "32,64",
         "guidance": "true",
+        "frames": "true",
     }
     assert not tensors
     yield peer

@@ -118,12 +118,12 @@ def test_other_streams_are_refused(capsys: pytest.CaptureFixture[str], base: Pat
     other = bytearray(pack({}, {"a": np.zeros(1, np.float32)}))
     other[other.index(b"F32") : other.index(b"F32") + 3] = b"I32"
     found = failure(capsys, arguments(base), bytes(other))
-    assert found == f"expected a message of safetensors with tensors of F32, found {len(other) - 8} bytes: a of I32"
+    assert found == f"expected a message of safetensors with tensors of F32, U8, U16, found {len(other) - 8} bytes: a of I32"
     found = failure(capsys, arguments(base), b"GET / HTTP/1.1\r\n")
     assert re.fullmatch(r"expected a message of at most 34359738368 bytes, found \d+", found)
     damaged = b"\x10" + bytes(7) + b"\x08" + bytes(7) + b"not JSON"
     found = failure(capsys, arguments(base), damaged)
-    assert found.startswith("expected a message of safetensors with tensors of F32, found 16 bytes: ")
+    assert found.startswith("expected a message of safetensors with tensors of F32, U8, U16, found 16 bytes: ")
     options = command.parser().parse_args(arguments(base))
     assert command.run(options, streams.BytesIO(), streams.BytesIO()) == 0
 

@@ -80,6 +80,7 @@ def peer(base: Path, weights: Path, tmp_path_factory: pytest.TempPathFactory) ->
         "dtype": "F32",
         "image_size": "40,72",
         "guidance": "true",
+        "frames": "true",
     }
     assert not tensors
     yield peer
