@@ -137,9 +137,10 @@ impl FromStr for GeneratorName {
     fn from_str(text: &str) -> Result<Self, String> {
         match text.strip_prefix("images:") {
             Some(address) => address.parse().map(Self::Images).map_err(|error: PeerError| error.to_string()),
-            None => {
-                text.parse().map(Self::Network).map_err(|error| format!("{error}, or images: in place of process:"))
-            }
+            None => text
+                .parse()
+                .map(Self::Network)
+                .map_err(|error| format!("{error}, or images: in place of process:")),
         }
     }
 }

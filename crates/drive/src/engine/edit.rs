@@ -4,29 +4,10 @@ use std::time::Instant;
 
 use pskel_sim::ActorPolicy;
 
-use super::live::{Beginning, Live};
-use super::look::Look;
+use super::kept::{Kept, Shown};
+use super::live::Live;
 use super::{Engine, Stage};
-use crate::generated::Mode;
 use crate::message::ServerMessage;
-use crate::view::View;
-
-/// What an engine keeps when its log is edited.
-pub(super) struct Kept {
-    view: View,
-    shown: Shown,
-    mode: Mode,
-    /// Number of the last session of the generator.
-    session: u64,
-    frame: u64,
-    saved: usize,
-}
-
-/// What is shown.
-enum Shown {
-    Look(Look),
-    Live(Beginning),
-}
 
 impl<'a> Engine<'a> {
     /// Returns what is kept.

@@ -5,6 +5,7 @@ mod draw;
 mod edit;
 mod generate;
 mod hello;
+mod kept;
 mod live;
 mod look;
 mod pace;
@@ -22,8 +23,8 @@ use point_skeleton::scene::{SceneMap, SceneState};
 use point_skeleton::{Log, RenderOptions, Renderer};
 use pskel_sim::{Scenario, scene_state};
 
-use self::edit::Kept;
 use self::generate::{Generation, Job};
+use self::kept::Kept;
 use self::live::{Beginning, By, Live};
 use self::look::{At, Look};
 use self::pace::{Pace, SPEEDS};

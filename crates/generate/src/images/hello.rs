@@ -4,7 +4,7 @@ use pskel_sim::peer::ProtocolError;
 use safetensors::SafeTensorError;
 use serde::{Serialize, Serializer};
 
-use super::ImageRig;
+use super::rig::ImageRig;
 use crate::DenoiserRig;
 use crate::process::connection::MAX_ANSWER_BYTES;
 use crate::process::hello::image_size;

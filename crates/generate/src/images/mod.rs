@@ -7,6 +7,7 @@
 
 mod hello;
 mod request;
+mod rig;
 pub(super) mod session;
 
 use point_skeleton::conditions::MapKind;
@@ -18,8 +19,9 @@ use safetensors::SafeTensorError;
 use serde::Serialize;
 
 use self::hello::{Wanted, hello, read_hello};
+pub use self::rig::ImageRig;
+use crate::Recipe;
 use crate::process::connection::MAX_ANSWER_BYTES;
-use crate::{DenoiserRig, Recipe};
 
 /// Image generator in another process, after the exchange of hellos. After a failure, all further calls fail.
 /// Serializes as what determines its images.
@@ -78,19 +80,6 @@ pub enum ImageProcessError {
         /// Given input.
         found: String,
     },
-}
-
-/// Rollout for which an image generator is started.
-#[derive(Clone, Debug)]
-pub struct ImageRig {
-    /// Name of the log.
-    pub log: String,
-    /// Cameras and planning steps per second.
-    pub rig: DenoiserRig,
-    /// Whether the log has an HD map.
-    pub has_map: bool,
-    /// Seed of the noise.
-    pub seed: u64,
 }
 
 impl ImageProcess {
