@@ -3,7 +3,7 @@ use std::sync::{Arc, OnceLock};
 
 use crate::Error;
 use crate::dataset::{
-    self, ActorEdits, DatasetError, EditError, EditedLog, EgoTrack, LogLocator, LogReader, MissingData,
+    self, ActorEdits, ChangedLog, DatasetError, EditError, EgoTrack, LogLocator, LogReader, MissingData,
     Recording,
 };
 use crate::scene::{EgoOffset, SceneMap, SceneState, state_at, state_of_frame};
@@ -49,7 +49,7 @@ impl Log {
         let source = Arc::clone(&self.source);
         let reader = match edits.is_empty() {
             true => Arc::clone(&source),
-            false => Arc::new(EditedLog::new(Arc::clone(&source), edits)?),
+            false => Arc::new(ChangedLog::with_edits(Arc::clone(&source), edits)?),
         };
         Ok(Self { source, reader, ego: self.ego.clone(), map: Arc::clone(&self.map) })
     }

@@ -24,13 +24,13 @@
 #[cfg(feature = "av2")]
 pub mod av2;
 mod category;
+mod changed_log;
 mod clock;
-mod edited_log;
+mod edited;
 mod edits;
 mod lenient;
 mod limits;
 mod map;
-mod moved_ego;
 #[cfg(feature = "nuplan")]
 pub mod nuplan;
 #[cfg(feature = "nuscenes")]
@@ -50,10 +50,9 @@ mod wkb;
 
 pub(crate) use category::CategoryKind;
 pub use category::{Class, layout_rgb};
-pub(crate) use edited_log::EditedLog;
+pub use changed_log::ChangedLog;
 pub use edits::{ActorEdits, Appearance, EditError, HeldTrack, ReplacedTrack};
 pub use map::{Area, Lane, VectorMap};
-pub use moved_ego::MovedEgo;
 pub use picture::{picture_size, read_picture, undecodable};
 pub use reading::{ImageDistortion, ReadOptions, RingMeaning};
 pub use recording::ego_track::EgoTrack;

@@ -155,7 +155,7 @@ impl<'a> Generation<'a> {
         }
     }
 
-    /// Takes an answer. Returns whether it is of this session.
+    /// Takes an answer. Returns whether it is of the rollout that runs.
     pub(super) fn take(&mut self, made: Made) -> bool {
         if made.session != self.session {
             return false;

@@ -7,7 +7,7 @@ use std::sync::Arc;
 use glam::{DVec2, DVec3};
 use point_skeleton::dataset::nuscenes::write_log;
 use point_skeleton::dataset::{
-    EgoTrack, ImageRecord, Lane, LogReader, MovedEgo, PosedActor, RigCamera, TrackBox,
+    ChangedLog, EgoTrack, ImageRecord, Lane, LogReader, PosedActor, RigCamera, TrackBox,
 };
 use point_skeleton::geometry::{Cuboid, Pose, View};
 use point_skeleton::scene::{EgoOffset, state_at, state_of_frame};
@@ -31,7 +31,7 @@ fn close(a: &Pose, b: &Pose) -> bool {
 #[test]
 fn cameras_move_with_a_moved_ego() {
     let offset = EgoOffset { forward_m: 0.5, left_m: 2.0, yaw_deg: 6.0, ..EgoOffset::default() };
-    let moved = MovedEgo::new(Arc::new(Town::new(&OPTIONS).unwrap()), offset).unwrap();
+    let moved = ChangedLog::with_moved_ego(Arc::new(Town::new(&OPTIONS).unwrap()), offset).unwrap();
     let log = town().recording();
     for frame in 0..FRAMES {
         let found = state_of_frame(moved.recording(), frame, EgoOffset::default()).unwrap();
@@ -66,7 +66,7 @@ fn cameras_move_with_a_moved_ego() {
     }
     assert!(moved.view_renderer().is_some());
     let recorded = WithLog { drive: town(), log: log.clone() };
-    assert!(MovedEgo::new(Arc::new(recorded), offset).is_none());
+    assert!(ChangedLog::with_moved_ego(Arc::new(recorded), offset).is_none());
 }
 
 /// Returns the distance from a point to a polyline.

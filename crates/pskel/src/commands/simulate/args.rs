@@ -7,7 +7,7 @@ use clap::Args;
 use point_skeleton::Log;
 #[cfg(feature = "mcap")]
 use point_skeleton::conditions::MapFormat;
-use point_skeleton::dataset::{LogOpener, MovedEgo};
+use point_skeleton::dataset::{ChangedLog, LogOpener};
 use point_skeleton::files::{Inputs as InputPaths, OutputFile};
 use point_skeleton::scene::{EgoOffset, SceneMap, frame_rate_hz};
 #[cfg(feature = "network")]
@@ -244,7 +244,7 @@ impl SimulateArgs {
         // The skeleton belongs to the recording, where the ego has not moved.
         let unmoved = self.ego_offset.map(|_| source.recording().clone());
         if let Some(offset) = self.ego_offset {
-            let moved = MovedEgo::new(source.into_reader(), offset).with_context(|| {
+            let moved = ChangedLog::with_moved_ego(source.into_reader(), offset).with_context(|| {
                 format!(
                     "expected a synthetic log (town:..) with --ego-offset, since recorded logs have no \
                         images at other poses, found {}",
