@@ -1,6 +1,8 @@
 """FID and FVD features: torchmetrics, and the sums of an independent computation, on random weights."""
 
+import contextlib
 import csv
+import io
 import json
 import shutil
 import subprocess
@@ -17,6 +19,7 @@ Image = pytest.importorskip("PIL.Image", reason="Pillow is not installed")
 from torch.nn import functional
 
 from pskel.metrics import I3D, frechet_distance, image_features, load_inception, read_reference, read_rollout, video_features
+from pskel.metrics.__main__ import main
 
 
 def initialized(network, seed):
@@ -140,15 +143,23 @@ def write_reference(folder, frames):
 
 
 def run(*arguments):
-    command = [sys.executable, "-m", "pskel.metrics", *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True, check=False)
+    """The command in this process: importing PyTorch takes seconds."""
+    out, error = io.StringIO(), io.StringIO()
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(error):
+        try:
+            status = main([str(argument) for argument in arguments])
+        except SystemExit as exit:
+            status = exit.code
+    return subprocess.CompletedProcess(arguments, status, out.getvalue(), error.getvalue())
 
 
 def test_command_writes_features_and_curve(tmp_path, inception_weights, i3d_weights):
     rollout = write_rollout(tmp_path / "rollout", 12)
     assert [video.camera for video in read_rollout(rollout)] == ["CAM_BACK", "CAM_FRONT"]
     assert read_rollout(rollout)[0].steps == list(range(4, 28, 2))
-    done = run(rollout, "--inception", inception_weights, "--i3d", i3d_weights, "--frames", 10, "--out", tmp_path / "out")
+    weights = ["--inception", inception_weights, "--i3d", i3d_weights, "--frames", "10"]
+    command = [sys.executable, "-m", "pskel.metrics", rollout, *weights, "--out", tmp_path / "out"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert "24 samples of 2048 features" in done.stdout and "6 samples of 400 features" in done.stdout
     features = {path.stem: np.load(path) for path in (tmp_path / "out").glob("*.npy")}
@@ -241,7 +252,7 @@ def test_rollouts_without_ground_truth_are_compared_with_reference_images(tmp_pa
 def test_features_are_computed_once(tmp_path, inception_weights):
     """An interrupted run continues, and its files are those of an uninterrupted one."""
     rollouts = [write_rollout(tmp_path / name, 3) for name in ("a", "b")]
-    weights = ["--inception", inception_weights, "--frames", 2, "--out"]
+    weights = ["--inception", inception_weights, "--out"]
     once = run(*rollouts, *weights, tmp_path / "once")
     assert once.returncode == 0, once.stderr
     assert run(rollouts[0], *weights, tmp_path / "parts").returncode == 0

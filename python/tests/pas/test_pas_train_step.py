@@ -142,24 +142,37 @@ def sampled(tensor: Any) -> Any:
 
 
 def expect_parameters(network: Any, case: Case, rate: float) -> None:
-    """Parameters after all steps, within 0.05 learning rates, and 0.005 in RMS where all are known."""
+    """Parameters after all steps, within 0.03 learning rates, and 0.005 in RMS where all are known.
+
+    Adam's first step is about `rate * sign(gradient)`: where the first gradient is within rounding of 0 (often as
+    small as Adam's epsilon), rounding decides it, and only the RMS is compared.
+    """
     part = case.name.partition(".")[2]
     prefix = f"{part}." if case.file != "nuscenes" else ""
     whole, samples = f"{prefix}after.", f"{prefix}after_sample."
-    known = 0
+    first, known = step_of(case, 0), 0
     for name, parameter in network.network.named_parameters():
         if whole + name in case.tensors:
             difference = (parameter - case.tensors[whole + name]).detach() / rate
-            assert float(difference.abs().max()) < 0.05 and rms(difference) < 0.005, name
+            assert rms(difference) < 0.005, name
+            expect_close(difference, first[f"grad.{name}"], name)
             known += 1
         elif samples + name in case.tensors:
             found = sampled(parameter.detach())
-            assert float((found - case.tensors[samples + name]).abs().max()) < 0.05 * rate, name
+            gradient = sampled(first[f"grad.{name}"]) if f"grad.{name}" in first else first[f"grad_sample.{name}"]
+            expect_close((found - case.tensors[samples + name]) / rate, gradient, name)
             root = parameter.numel() ** 0.5
             norm = float(case.tensors[f"{prefix}after_norm.{name}"])
             assert abs(float(parameter.detach().double().norm()) - norm) < 0.05 * rate * root, name
             known += 1
     assert known == (284 if case.name in ("nuscenes", "nuplan.points") else 0)
+
+
+def expect_close(difference: Any, gradient: Any, name: str) -> None:
+    """Expects differences of 0.03 learning rates at most where a first gradient is 0 or surely not: nearly everywhere."""
+    sure = (gradient == 0) | (gradient.abs() > 2e-5 * rms(gradient))
+    assert float(sure.double().mean()) > 0.95, name
+    assert float((difference * sure).abs().max()) < 0.03, name
 
 
 def test_levels_are_of_the_table() -> None:
