@@ -60,9 +60,19 @@ if [ "$size" = full ]; then visit 1280,720 selftest; else visit 1280,720 "selfte
 visit 1280,720 "random=${MOVES:-150}&seed=1"
 kill -0 "$server" || { say "the server has ended"; exit 1; }
 
+# A screenshot of the page in a state.
+picture() {
+    local size=$1 state=$2 name=$3 result
+    run "$size" --timeout=120000 --screenshot="$pictures/$name.png" --dump-dom "${@:4}" "$url#show=$state" >"$scratch/dom.html" || true
+    result=$(selftest_text "$scratch/dom.html")
+    [ "$result" = "PASS: shown" ] || { say "picture $name: expected PASS, found ${result:-no result}"; exit 1; }
+}
+
 if [ -n "$pictures" ]; then
     mkdir -p "$pictures"
-    run 1280,720 --virtual-time-budget=20000 --screenshot="$pictures/live.png" "$url"
-    run 1280,720 --virtual-time-budget=20000 --blink-settings=preferredColorScheme=0 --screenshot="$pictures/live-dark.png" "$url"
+    for state in look picked drive generated; do picture 1280,720 "$state" "live-$state"; done
+    picture 1280,720 drive live-dark --blink-settings=preferredColorScheme=0
+    picture 420,900 look live-narrow
+    picture 1920,1080 drive live-large
     say "screenshots in $pictures"
 fi

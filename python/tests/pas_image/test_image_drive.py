@@ -27,7 +27,7 @@ CLIP = clip(views=VIEWS, size=SIZE)
 PER_FRAME = ("color", "bins", "boxes", "map", "images", "cameras")
 REPEATED = replace(CLIP, captions=CLIP.captions[::-1], **{name: getattr(CLIP, name).flip(0) for name in PER_FRAME})
 """The window from the second frame to the repeated first."""
-COUNT, STEPS, FEW_STEPS, GUIDANCE = 20, 20, 4, 2.0
+COUNT, STEPS, SHORT, FEW_STEPS, GUIDANCE = 20, 10, 8, 4, 2.0
 
 
 def write_fitted_base(folder: Path) -> Path:
@@ -199,9 +199,9 @@ def test_the_learned_clip_is_driven(denoiser: Denoiser, new_denoiser: Denoiser) 
 
 
 def test_another_process_drives_the_same(denoiser: Denoiser, peer: Peer) -> None:
-    ours = drive(denoiser, denoiser, COUNT, FEW_STEPS)
-    theirs = drive(denoiser, through(peer), COUNT, FEW_STEPS)
-    assert len(ours) == len(theirs) == COUNT
+    ours = drive(denoiser, denoiser, SHORT, FEW_STEPS)
+    theirs = drive(denoiser, through(peer), SHORT, FEW_STEPS)
+    assert len(ours) == len(theirs) == SHORT
     for frame, other in zip(ours, theirs):
         np.testing.assert_array_equal(frame, other)
     assert square_errors(denoiser, ours, 0).mean() < square_errors(denoiser, ours, 1).mean() / 5
@@ -218,13 +218,13 @@ def test_the_loop_of_the_package_gives_the_same(denoiser: Denoiser) -> None:
             seen.append(latents[-1].copy())
         return np.zeros_like(latents)
 
-    run_loop(still, first, condition, COUNT, FEW_STEPS, 1.0)
-    assert len(seen) == COUNT * 2
-    noise = [seen[2 * step : 2 * step + 2] for step in range(COUNT)]
-    conditions = [condition(i) for i in range(COUNT + 3)]
+    run_loop(still, first, condition, SHORT, FEW_STEPS, 1.0)
+    assert len(seen) == SHORT * 2
+    noise = [seen[2 * step : 2 * step + 2] for step in range(SHORT)]
+    conditions = [condition(i) for i in range(SHORT + 3)]
     expected = roll_out(denoiser, first, conditions, noise, FEW_STEPS, GUIDANCE)
-    found = run_loop(denoiser, first, condition, COUNT, FEW_STEPS, GUIDANCE)
-    assert len(found) == COUNT
+    found = run_loop(denoiser, first, condition, SHORT, FEW_STEPS, GUIDANCE)
+    assert len(found) == SHORT
     for ours, packaged in zip(expected, found):
         np.testing.assert_array_equal(ours, packaged)
     assert square_errors(denoiser, found, 0).mean() < square_errors(denoiser, found, 1).mean() / 5

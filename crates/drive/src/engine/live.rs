@@ -2,12 +2,14 @@
 
 use std::collections::BTreeMap;
 
+use point_skeleton::dataset::Recording;
 use point_skeleton::named::Named;
 use pskel_sim::{
     ActorPolicy, Controls, EgoKind, EgoPolicy, EndReason, Instant, LocalPathError, Scenario, SimError,
     SimOptions, Simulation, TrajectoryFile, Waypoint, Wheel,
 };
 
+use super::look::within;
 use crate::frame::{Ego, Event};
 use crate::message::{Keys, Start};
 
@@ -73,11 +75,11 @@ pub(super) struct Live<'a> {
 }
 
 impl Beginning {
-    /// Returns the beginning of a message; the time is the one that is shown, if none is given.
+    /// Returns the beginning of a message; the time is the one that is shown, or the end of the log after it, if none is given.
     ///
     /// # Errors
     /// Returns what was expected and what was found.
-    pub(super) fn of(start: &Start, shown_us: i64) -> Result<Self, String> {
+    pub(super) fn of(start: &Start, shown_us: i64, log: &Recording) -> Result<Self, String> {
         let hz = start.hz.unwrap_or(HZ);
         if !RATES_HZ.contains(&hz) {
             let (low, high) = (RATES_HZ.start(), RATES_HZ.end());
@@ -87,7 +89,7 @@ impl Beginning {
             Some(name) => ActorPolicy::from_name(name).map_err(|error| error.to_string())?,
             None => ActorPolicy::Idm,
         };
-        Ok(Self { hz, actors, start_us: start.from_t_us.unwrap_or(shown_us) })
+        Ok(Self { hz, actors, start_us: start.from_t_us.unwrap_or(within(log, shown_us)) })
     }
 
     fn options(self) -> SimOptions {

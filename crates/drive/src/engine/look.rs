@@ -105,15 +105,18 @@ impl Look {
 impl At {
     /// Returns a time within the log: the frame, if it is one's own time.
     pub(super) fn time(t_us: i64, log: &Recording) -> Self {
-        let (Some(first), Some(last)) = (log.frames.first(), log.frames.last()) else {
-            return Self::Frame(0);
-        };
-        let t_us = t_us.clamp(first.t_us, last.t_us);
+        let t_us = within(log, t_us);
         match log.frames.binary_search_by_key(&t_us, |frame| frame.t_us) {
             Ok(index) => Self::Frame(index),
             Err(_) => Self::Time(t_us),
         }
     }
+}
+
+/// Returns the time of a log that is nearest to a time, absolute microseconds.
+pub(super) fn within(log: &Recording, t_us: i64) -> i64 {
+    let (first, last) = (log.frames.first(), log.frames.last());
+    first.zip(last).map_or(t_us, |(first, last)| t_us.clamp(first.t_us, last.t_us))
 }
 
 /// Returns the recorded ego at a time, displaced: position, and speed along the heading.

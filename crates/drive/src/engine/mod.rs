@@ -280,7 +280,7 @@ impl<'a> Engine<'a> {
                 self.stage = Stage::Look(look);
             }
             Command::Simulate(start) => {
-                let beginning = Beginning::of(&start, self.t_us())?;
+                let beginning = Beginning::of(&start, self.t_us(), self.inputs.log.recording())?;
                 self.begin(beginning, now)?;
             }
             Command::Control { by } => {
@@ -293,7 +293,8 @@ impl<'a> Engine<'a> {
                     if keys.is_idle() {
                         return Ok(());
                     }
-                    let beginning = Beginning::of(&Default::default(), self.t_us())?;
+                    let beginning =
+                        Beginning::of(&Default::default(), self.t_us(), self.inputs.log.recording())?;
                     self.begin(beginning, now)?;
                     self.pace.play(true, now);
                 }

@@ -1,6 +1,6 @@
 // Tests of the page in a browser against a server: #selftest visits everything once, with #selftest&size=HxW on
 // maps of that size (for programs without optimization); #random=N&seed=S does
-// N random things. The result is written into the element `selftest`.
+// N random things; #show=look, drive, generated or picked leaves the page in a state for a screenshot. The result is written into the element `selftest`.
 
 import { cut, send } from "./connection.js";
 import { keysNumber, release } from "./keys.js";
@@ -25,6 +25,8 @@ export function watchErrors() {
 }
 let received = 0; // frames since the connection was made
 
+const SHOWN = "PASS: shown";
+
 /** Runs a test and writes its result. */
 export async function run(test) {
   let result;
@@ -34,7 +36,7 @@ export async function run(test) {
     result = `FAIL: ${error.message}`;
   }
   if (errors.length) result = `FAIL: ${errors.slice(0, 5).join("; ")} (${result})`;
-  byId("selftest").hidden = false;
+  byId("selftest").hidden = result === SHOWN;
   byId("selftest").textContent = result;
 }
 
@@ -377,6 +379,52 @@ export async function selfTest(size = null) {
   fits();
   expect(!notices.length, `no errors of the server: ${notices.slice(0, 3).join("; ")}`);
   return `PASS: first picture after ${firstMs} ms, ${pictures} pictures, ${hidden}${made}, ${fps.toFixed(1)} fps in real time, ${most.toFixed(1)} at speed 4, key to picture median ${quantile(latencies, 0.5).toFixed(0)} ms, p99 ${quantile(latencies, 0.99).toFixed(0)} ms of ${latencies.length}`;
+}
+
+/** Leaves the page in a state, paused, with all pictures drawn. */
+export async function show(name) {
+  await until(() => state.frame, "the first picture", 300000);
+  if (!state.youDrive) { byId("take").click(); await until(() => state.youDrive, "this page drives"); }
+  const { cameras, frames_us: frames } = state.hello;
+  document.querySelector("#pose button").click();
+  if (state.frame.speed !== 1) choose("speeds", 1);
+  if (name === "drive" || name === "generated") {
+    if (!simulating()) choose("modes", "simulate");
+    await until(simulating, "a simulation");
+    byId("reset").click();
+    await until(() => state.frame.step < 3, "the beginning");
+    if (!state.frame.playing) byId("play").click();
+  } else if (simulating()) {
+    choose("modes", "look");
+    await until(() => !simulating(), "looking at the log");
+  }
+  if (name === "drive") {
+    key("KeyW");
+    await until(() => state.frame.by === "person" && state.frame.step >= 40, "two seconds of driving", 30000);
+    key("KeyA");
+    await sleep(400);
+    for (const code of ["KeyA", "KeyW"]) key(code, "keyup");
+  }
+  if (name === "generated") {
+    choose("maps", "generated");
+    await until(() => state.frame.generated && !state.frame.generated.is_reference, "generated images", 60000);
+  } else {
+    choose("maps", "color");
+  }
+  if (state.frame.playing) byId("play").click();
+  await until(() => !state.frame.playing, "a pause");
+  if (name === "look" || name === "picked") setSlider(byId("slider"), (frames[frames.length >> 1] ?? frames[0]) - frames[0]);
+  if (name === "picked") {
+    await until(() => state.frame.actors?.length, "an actor");
+    const shape = byId("birdseye-actors").querySelector(`[data-track="${CSS.escape(state.frame.actors[0].track)}"]`);
+    for (const type of ["pointerdown", "pointerup"]) pointer(shape, type, ...middle(shape));
+    await until(() => byId("hold"), "a picked actor");
+    byId("hold").click();
+    await until(() => document.getElementById("edits"), "a held actor");
+  }
+  await until(() => cameras.every(({ name }) => canvasOf(name).width > 1), "all pictures");
+  await sleep(500);
+  return SHOWN;
 }
 
 /** Does `count` random things; the page must then still show pictures, and no script may have failed. */

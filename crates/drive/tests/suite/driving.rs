@@ -91,4 +91,8 @@ fn the_log_ends_and_a_person_drives_on() {
     // Back on the recorded path there is none.
     client.send(&json!({"type": "control", "by": "log"}));
     client.frame_with(|header| !header["ended"].is_null());
+    // A new simulation begins at the end of the log, not after it.
+    client.send(&json!({"type": "simulate", "hz": 20.0}));
+    let anew = client.frame_with(|header| header["step"] == 0).header;
+    assert_eq!(anew["t_us"], client.hello["frames_us"].as_array().unwrap().last().unwrap().clone());
 }
