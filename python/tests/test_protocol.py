@@ -24,10 +24,20 @@ def pskel(*arguments, status=0):
     return done
 
 
+CAMERAS = ("CAM_FRONT", "CAM_BACK")
+
+
 @pytest.fixture(scope="module")
 def town(tmp_path_factory):
+    """A town with two of its cameras: networks take a second for an image."""
     folder = tmp_path_factory.mktemp("town")
-    pskel("town", "seed=3,frames=20,hz=5,size=45x80", "--out", folder / "data")
+    pskel("town", "seed=3,frames=20,hz=5,lidar_hz=10,size=45x80", "--out", folder / "data")
+    tables = {name: folder / f"data/v1.0-town/{name}.json" for name in ("sensor", "calibrated_sensor", "sample_data")}
+    sensors, calibrated, data = (json.loads(path.read_text()) for path in tables.values())
+    kept = {row["token"] for row in sensors if row["modality"] != "camera" or row["channel"] in CAMERAS}
+    kept = {row["token"] for row in calibrated if row["sensor_token"] in kept}
+    for name, key, rows in (("calibrated_sensor", "token", calibrated), ("sample_data", "calibrated_sensor_token", data)):
+        tables[name].write_text(json.dumps([row for row in rows if row[key] in kept]))
     return folder
 
 
@@ -75,7 +85,7 @@ def test_columns_are_those_of_torchmetrics(town, inception_weights, mask2former)
     assert "FVD needs --i3d." in done.stdout and "IoU needs" not in done.stdout
     network = NoTrainInceptionV3("inception-v3-compat", ["2048"], str(inception_weights)).eval()
     kept = sorted((town / "out/metrics/features").iterdir())
-    assert len(kept) == 6 + 6 + 6 + 6  # cameras: replayed, its truth; off the log, all truth of the replay
+    assert len(kept) == 4 * len(CAMERAS)  # replayed, its truth; off the log, all truth of the replay
     package = Inception(inception_weights, town / "out/metrics/features", "cpu")
 
     def features(folder, kind, of=("generated",), as_kind=None, size=None):
@@ -90,9 +100,9 @@ def test_columns_are_those_of_torchmetrics(town, inception_weights, mask2former)
     replay, straight = (next((town / "out" / part).iterdir()) for part in ("replay", "straight"))
     assert not list(straight.glob("steps/*/truth"))
     generated, truth = features(replay, "generated"), features(replay, "truth")
-    assert generated.shape == truth.shape == (6 * 17, 2048)
+    assert generated.shape == truth.shape == (17 * len(CAMERAS), 2048)
     off_log, logged = features(straight, "generated"), features(replay, "truth", ("reference", "generated"), "reference", (45, 80))
-    assert len(off_log) == 6 * 28 and len(logged) == 6 * 20
+    assert len(off_log) == 28 * len(CAMERAS) and len(logged) == 20 * len(CAMERAS)
     assert sorted((town / "out/metrics/features").iterdir()) == kept
     parts = {part["name"]: part for part in json.loads(results)["parts"]}
     for part, one, other in (("replay", generated, truth), ("straight", off_log, logged)):
@@ -104,7 +114,7 @@ def test_columns_are_those_of_torchmetrics(town, inception_weights, mask2former)
         assert parts[part]["images"]["mean"]["iou_masks"]["mean"] is not None
         assert re.fullmatch(r"[0-9.]+", cells(town)[part]["IoU (%)"])
     masks = sorted((town / "out/metrics/masks").rglob("*.png"))
-    assert len(masks) == 6 * (17 + 28)
+    assert len(masks) == (17 + 28) * len(CAMERAS)
     # As an interrupted run leaves it.
     times = {path: path.stat().st_mtime_ns for path in (town / "out/metrics").rglob("*") if path.is_file()}
     removed = [masks[3], *sorted((town / "out/metrics/features").iterdir())[:2]]
@@ -146,7 +156,7 @@ def test_fvd_is_that_of_clips(town, i3d_weights):  # noqa: F811
         clips = [video[start : start + 16] for video in videos for start in (0, 1)]
         sets.append(video_features(network, clips).astype(np.float64))
     (part,) = json.loads((town / "out/results.json").read_text())["parts"]
-    assert part["fvd"]["samples"] == [12, 12] and part["fid"] is None
+    assert part["fvd"]["samples"] == [2 * len(CAMERAS)] * 2 and part["fid"] is None
     assert part["fvd"]["distance"] == pytest.approx(distance(*sets), rel=1e-6)
 
 
