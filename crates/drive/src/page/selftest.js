@@ -392,8 +392,9 @@ export async function show(name) {
     if (!simulating()) choose("modes", "simulate");
     await until(simulating, "a simulation");
     byId("reset").click();
-    await until(() => state.frame.step < 3, "the beginning");
+    await sleep(1000);
     if (!state.frame.playing) byId("play").click();
+    await until(() => state.frame.playing, "a simulation that runs");
   } else if (simulating()) {
     choose("modes", "look");
     await until(() => !simulating(), "looking at the log");
