@@ -9,3 +9,4 @@ mod local_path;
 mod peer_ends;
 mod replay;
 mod resume;
+mod scenario;
