@@ -4,9 +4,11 @@ use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
+use serde_json::Value;
 
 use super::scenario::{Action, Change};
 use crate::error::FileError;
+use crate::files::input::read_table;
 use crate::files::json;
 use crate::files::text::printable;
 use crate::geometry::ParseOptionError;
@@ -107,7 +109,7 @@ impl ActorEdits {
     /// # Errors
     /// Fails if the file cannot be read or has other fields or values.
     pub fn read(path: &Path) -> Result<Self, FileError> {
-        let mut edits: Self = json::read(path, "a scenario")?;
+        let mut edits = Self::parse(&read_table(path)?, path)?;
         let folder = path.parent().unwrap_or(Path::new(""));
         for appearance in edits.replace.values_mut() {
             if let Appearance::File(file) | Appearance::Skeleton { skeleton: file, .. } = appearance {
@@ -115,6 +117,19 @@ impl ActorEdits {
             }
         }
         Ok(edits)
+    }
+
+    /// Parses the bytes of a scenario file; `path` is for messages.
+    ///
+    /// # Errors
+    /// Fails if the bytes have other fields or values.
+    pub fn parse(bytes: &[u8], path: &Path) -> Result<Self, FileError> {
+        const EXPECTED: &str = "a scenario";
+        // An empty array would pass for a value without any of the optional fields.
+        match json::parse(bytes, EXPECTED, path)? {
+            Value::Object(_) => json::parse(bytes, EXPECTED, path),
+            _ => Err(FileError::content(EXPECTED, "no object", path)),
+        }
     }
 
     /// Returns whether nothing is changed.

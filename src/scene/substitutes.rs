@@ -7,7 +7,7 @@ use rayon::prelude::*;
 use serde::Serialize;
 
 use crate::cloud::{self, Point};
-use crate::dataset::{Appearance, Recording};
+use crate::dataset::{Appearance, Class, Recording, Track};
 use crate::error::FileError;
 use crate::files::Checksum;
 use crate::skeleton::{
@@ -35,9 +35,9 @@ pub struct SubstituteOptions {
     pub use_default: bool,
     /// Degradation of assets; `None` for unchanged assets.
     pub augment: Option<AugmentOptions>,
-    /// What edited tracks look like; only those with points of files are used.
+    /// Classes of edited tracks, and what they look like; only those with points of files are used.
     #[serde(skip_serializing_if = "BTreeMap::is_empty")]
-    pub looks: BTreeMap<String, Appearance>,
+    pub looks: BTreeMap<String, (Class, Appearance)>,
 }
 
 /// Substitute clouds in use, for `index.json`.
@@ -129,7 +129,11 @@ impl SubstituteOptions {
     /// Returns the options with the points of files that a log's edits name.
     #[must_use]
     pub fn for_log(self, log: &Recording) -> Self {
-        Self { looks: log.edits.replace.clone(), ..self }
+        let look = |track: &Track| {
+            let appearance = log.edits.replace.get(&track.id)?.clone();
+            Some((track.id.clone(), (track.class, appearance)))
+        };
+        Self { looks: log.tracks.iter().filter_map(look).collect(), ..self }
     }
 
     /// Returns the fingerprint of the template library, see [`TemplateLibrary::fingerprint_at`]; `None`
@@ -162,8 +166,10 @@ impl SubstituteOptions {
         let templates = origins.iter().map(|(kind, origin)| (kind.name(), *origin)).collect();
         let augment = self.augment.map(|options| substitutes.augment(skeleton, log, options)).transpose()?;
         let mut looks = BTreeMap::new();
-        for (track, appearance) in &self.looks {
+        for (track, (class, appearance)) in &self.looks {
             if let Some(points) = points_of(appearance)? {
+                let classed = |point: &Point| Point::new(point.position, point.rgb(), *class as u8);
+                let points: Vec<Point> = points.iter().map(classed).collect();
                 looks.insert(track.clone(), Checksum::of(&points));
                 substitutes.assets.insert(track.clone(), points);
             }

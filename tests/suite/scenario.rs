@@ -100,7 +100,7 @@ fn other_files_are_refused_by_name() {
         ("{\"changes\": [{\"track\": \"a\"}]}", "no field action"),
         ("{\"changes\": [{\"track\": \"a\", \"action\": \"fly\"}]}", "fly"),
         ("{\"replace\": {\"a\": {\"files\": 1}}}", "expected the id of a track"),
-        ("[]", "an array"),
+        ("[]", "no object"),
     ] {
         std::fs::write(&file, text).unwrap();
         let message = ActorEdits::read(&file).unwrap_err().to_string();

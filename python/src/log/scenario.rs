@@ -1,7 +1,6 @@
 use std::path::{Path, PathBuf};
 
 use point_skeleton::dataset::ActorEdits;
-use point_skeleton::files::json;
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 
@@ -14,7 +13,7 @@ pub(super) fn read(given: &Bound<'_, PyAny>) -> PyResult<ActorEdits> {
         Ok(path) => ActorEdits::read(&path).map_err(raise)?,
         Err(_) => {
             let text: String = given.py().import("json")?.call_method1("dumps", (given,))?.extract()?;
-            let parsed = json::parse(text.as_bytes(), "a scenario", Path::new("scenario"));
+            let parsed = ActorEdits::parse(text.as_bytes(), Path::new("scenario"));
             parsed.map_err(|error| PyValueError::new_err(error.to_string()))?
         }
     };
