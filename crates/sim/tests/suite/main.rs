@@ -4,6 +4,7 @@
 mod actors;
 mod course;
 mod external;
+mod families;
 mod live;
 mod local_path;
 mod peer_ends;
