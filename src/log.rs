@@ -69,6 +69,11 @@ impl Log {
         self.source.recording()
     }
 
+    /// Returns the reader of the log without edits.
+    pub fn unedited_reader(&self) -> &dyn LogReader {
+        self.source.as_ref()
+    }
+
     /// Returns the frames (the states at key frames), in time order.
     pub fn frames(&self) -> impl Iterator<Item = SceneState> {
         (0..self.recording().frames.len()).filter_map(|i| self.frame(i))
@@ -144,14 +149,14 @@ impl Log {
 }
 
 impl Skeleton {
-    /// Builds a skeleton from all frames of a log, and writes it to a folder. An existing skeleton is
-    /// replaced. For several logs, templates, progress and resumption see [`skeleton::build`].
+    /// Builds a skeleton from all frames of a log without its edits, and writes it to a folder. An existing
+    /// skeleton is replaced. For several logs, templates, progress and resumption see [`skeleton::build`].
     ///
     /// # Errors
     /// Fails if a file of the log is damaged and the log was opened with [`MissingData::Error`], if no sweep
     /// has points, or if the folder cannot be written.
     pub fn build(log: &Log, folder: impl AsRef<Path>, options: &BuildOptions) -> Result<Self, Error> {
-        let input = BuildInput::all(log.reader());
+        let input = BuildInput::all(log.unedited_reader());
         let run = BuildRun::default();
         Ok(skeleton::build(folder.as_ref(), &[input], options, &|_| Ok(Vec::new()), &run)?)
     }

@@ -150,6 +150,7 @@ class Log:
         allow_outside: bool = False,
         ring_is: str = "auto",
         image_distortion: str = "usual",
+        scenario: str | PathLike[str] | dict[str, Any] | None = None,
     ) -> Self: ...
     @property
     def name(self) -> str: ...

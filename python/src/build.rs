@@ -62,7 +62,7 @@ fn inputs<'a>(logs: &'a [Arc<OwnedLog>], keywords: Keywords<'_, '_>) -> PyResult
                 frames.end
             )));
         }
-        Ok(BuildInput { reader: log.reader(), frames: frames.step_by(every).collect() })
+        Ok(BuildInput { reader: log.unedited_reader(), frames: frames.step_by(every).collect() })
     };
     logs.iter().map(input).collect()
 }

@@ -214,6 +214,7 @@ impl<'py> Keywords<'_, 'py> {
                 color_only,
                 ..default
             }),
+            looks: Default::default(), // logs of Python have no points of files
         })
     }
 

@@ -2,8 +2,8 @@ use std::sync::Arc;
 
 use super::edited::apply;
 use super::{
-    ActorEdits, DatasetError, EditError, ImageRecord, LogReader, PosedActor, Recording, Sweep, SweepRecord,
-    VectorMap, ViewRenderer,
+    ActorEdits, Appearance, DatasetError, EditError, ImageRecord, LogReader, PosedActor, Recording, Sweep,
+    SweepRecord, VectorMap, ViewRenderer,
 };
 use crate::geometry::View;
 use crate::scene::EgoOffset;
@@ -81,7 +81,14 @@ impl LogReader for ChangedLog {
         if self.log.edits.is_empty() {
             return self.reader.view_renderer();
         }
-        let is_known = self.log.edits.replace.keys().all(|track| self.log.edits.asset(track).is_some());
+        let edits = &self.log.edits;
+        let is_of_log = |track: &&str| self.reader.recording().tracks.iter().any(|known| known.id == **track);
+        let changed = edits.changes.iter().map(|change| &change.track).chain(edits.replace.keys());
+        let is_known = changed.into_iter().all(|track| {
+            let has_file =
+                matches!(edits.replace.get(track), Some(Appearance::File(_) | Appearance::Skeleton { .. }));
+            !has_file && edits.asset(track).as_ref().is_some_and(is_of_log)
+        });
         self.reader.view_renderer().filter(|_| is_known).map(|_| self as &dyn ViewRenderer)
     }
 }

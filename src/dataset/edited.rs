@@ -1,12 +1,13 @@
 use glam::DVec3;
 
-use super::{ActorEdits, Appearance, EditError, Recording, Track};
+use super::{ActorEdits, Appearance, EditError, Recording, Track, scenario};
 use crate::geometry::{Cuboid, Pose};
 
 /// Returns the log with the edits; `log` has none.
 ///
 /// # Errors
-/// Fails if a track does not exist, or has no box at the time where it is held.
+/// Fails if a track does not exist, has no box at the time where it is held, or if a change does not fit the
+/// log.
 pub(super) fn apply(edits: &ActorEdits, log: &Recording) -> Result<Recording, EditError> {
     let mut edited = log.clone();
     edited.edits = edits.clone();
@@ -21,19 +22,31 @@ pub(super) fn apply(edits: &ActorEdits, log: &Recording) -> Result<Recording, Ed
             }
         }
     }
-    for (id, appearance) in &edits.replace {
+    for (id, appearance) in edits.replace.iter().filter(|(id, _)| !edits.inserts(id)) {
         let track = index(log, id)?;
         let Appearance::Track(other) = appearance else { continue };
         let like = index(log, other)?;
         let Track { category, class, .. } = log.tracks[like].clone();
         edited.tracks[track] = Track { category, class, ..edited.tracks[track].clone() };
-        let size = median_size(log, like);
-        let boxes = edited.frames.iter_mut().flat_map(|frame| &mut frame.boxes);
-        for item in boxes.filter(|item| item.track == track) {
-            item.cuboid = on_ground(&item.cuboid, size);
-        }
+        resize(&mut edited, track, log.median_size(like));
     }
+    for (id, size_m) in &edits.size_m {
+        let (track, size) = (index(log, id)?, DVec3::from(*size_m));
+        if Cuboid::new(Pose::IDENTITY, size).is_err() {
+            return Err(EditError::Size { track: id.clone(), size_m: *size_m });
+        }
+        resize(&mut edited, track, size);
+    }
+    scenario::apply(edits, log, &mut edited)?;
     Ok(edited)
+}
+
+/// Gives all boxes of a track a size, meters.
+fn resize(log: &mut Recording, track: usize, size: DVec3) {
+    let boxes = log.frames.iter_mut().flat_map(|frame| &mut frame.boxes);
+    for item in boxes.filter(|item| item.track == track) {
+        item.cuboid = on_ground(&item.cuboid, size);
+    }
 }
 
 /// Returns the index of a track that has a box.
@@ -49,17 +62,6 @@ fn no_box(log: &Recording, track: usize, t_us: i64) -> EditError {
     let (first_us, last_us) = (time_us(boxes.first()), time_us(boxes.last()));
     let (track, log) = (log.tracks[track].id.clone(), log.name.clone());
     EditError::NoBox { track, log, first_us, last_us, t_us }
-}
-
-/// Returns the median length, width and height of a track's boxes, meters; it has at least one.
-fn median_size(log: &Recording, track: usize) -> DVec3 {
-    let boxes = log.track_boxes(track);
-    let median = |axis: usize| {
-        let mut sizes: Vec<f64> = boxes.iter().map(|(_, cuboid)| cuboid.size[axis]).collect();
-        sizes.sort_by(f64::total_cmp);
-        sizes[sizes.len() / 2]
-    };
-    DVec3::new(median(0), median(1), median(2))
 }
 
 /// Returns a box of another size on the same ground.
@@ -102,6 +104,7 @@ mod tests {
         ActorEdits {
             hold: hold.iter().map(|(track, t_us)| ((*track).to_owned(), *t_us)).collect(),
             replace: replace.iter().map(|(track, by)| ((*track).to_owned(), (*by).into())).collect(),
+            ..ActorEdits::default()
         }
     }
 

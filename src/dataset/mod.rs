@@ -41,6 +41,7 @@ pub mod py123d;
 mod reading;
 mod recording;
 mod registry;
+mod scenario;
 mod summary;
 mod sweeps;
 #[cfg(feature = "av2")]
@@ -64,6 +65,10 @@ pub use recording::{
 };
 pub use registry::format::{LogFormat, LogLocator, LogOpener, OpenReader};
 pub use registry::{expand, formats, open, register};
+pub use scenario::{
+    Action, Anchor, Change, Command, EgoWithin, Insert, Path, PathPoint, Place, Script, Shift, Time,
+    Triggers, When,
+};
 pub use summary::{BoxCounts, CameraSummary, EgoPath, LogSummary, MapCounts};
 
 use std::collections::BTreeMap;

@@ -93,6 +93,12 @@ impl<'a> SceneClouds<'a> {
                 (clouds.len() - 1, DVec3::from(template.size))
             });
         }
+        for (track, points) in &substitutes.assets {
+            assets.entry(track.as_str()).or_insert_with(|| {
+                clouds.push(points.into());
+                clouds.len() - 1
+            });
+        }
         let mut color_assets = BTreeMap::new();
         for track in assets.keys() {
             if let Some(points) = substitutes.color_assets.get(*track) {

@@ -2,11 +2,14 @@ use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::sync::LazyLock;
 
+use glam::DVec3;
 use rayon::prelude::*;
 use serde::Serialize;
 
-use crate::cloud::Point;
+use crate::cloud::{self, Point};
+use crate::dataset::{Appearance, Class, Recording, Track};
 use crate::error::FileError;
+use crate::files::Checksum;
 use crate::skeleton::{
     AugmentOptions, Augmentation, Skeleton, TemplateCloud, TemplateKind, TemplateLibrary, augment,
     default_templates,
@@ -32,6 +35,9 @@ pub struct SubstituteOptions {
     pub use_default: bool,
     /// Degradation of assets; `None` for unchanged assets.
     pub augment: Option<AugmentOptions>,
+    /// Classes of edited tracks, and what they look like; only those with points of files are used.
+    #[serde(skip_serializing_if = "BTreeMap::is_empty")]
+    pub looks: BTreeMap<String, (Class, Appearance)>,
 }
 
 /// Substitute clouds in use, for `index.json`.
@@ -44,6 +50,9 @@ pub struct SubstituteReport {
     pub library: Option<String>,
     /// `None` for unchanged assets.
     pub augment: Option<AugmentReport>,
+    /// Checksums of the points of files, by track.
+    #[serde(skip_serializing_if = "BTreeMap::is_empty")]
+    pub looks: BTreeMap<String, Checksum>,
 }
 
 /// Origin of a template.
@@ -106,7 +115,7 @@ impl Substitutes {
 impl Default for SubstituteOptions {
     /// Built-in templates and unchanged assets.
     fn default() -> Self {
-        Self { library: None, use_default: true, augment: None }
+        Self { library: None, use_default: true, augment: None, looks: BTreeMap::new() }
     }
 }
 
@@ -115,6 +124,16 @@ impl SubstituteOptions {
     pub fn augmented(seed: Option<u64>) -> Self {
         let augment = seed.map(|seed| AugmentOptions { seed, ..AugmentOptions::default() });
         Self { augment, ..Self::default() }
+    }
+
+    /// Returns the options with the points of files that a log's edits name.
+    #[must_use]
+    pub fn for_log(self, log: &Recording) -> Self {
+        let look = |track: &Track| {
+            let appearance = log.edits.replace.get(&track.id)?.clone();
+            Some((track.id.clone(), (track.class, appearance)))
+        };
+        Self { looks: log.tracks.iter().filter_map(look).collect(), ..self }
     }
 
     /// Returns the fingerprint of the template library, see [`TemplateLibrary::fingerprint_at`]; `None`
@@ -146,6 +165,41 @@ impl SubstituteOptions {
         }
         let templates = origins.iter().map(|(kind, origin)| (kind.name(), *origin)).collect();
         let augment = self.augment.map(|options| substitutes.augment(skeleton, log, options)).transpose()?;
-        Ok((substitutes, SubstituteReport { templates, library: self.fingerprint()?, augment }))
+        let mut looks = BTreeMap::new();
+        for (track, (class, appearance)) in &self.looks {
+            if let Some(points) = points_of(appearance)? {
+                let classed = |point: &Point| Point::new(point.position, point.rgb(), *class as u8);
+                let points: Vec<Point> = points.iter().map(classed).collect();
+                looks.insert(track.clone(), Checksum::of(&points));
+                substitutes.assets.insert(track.clone(), points);
+            }
+        }
+        Ok((substitutes, SubstituteReport { templates, library: self.fingerprint()?, augment, looks }))
+    }
+}
+
+/// Returns the points of a file that an actor looks like; `None` if there is no file.
+///
+/// # Errors
+/// Fails if the file cannot be read, has no point that can be drawn, or lacks the track.
+fn points_of(appearance: &Appearance) -> Result<Option<Vec<Point>>, FileError> {
+    match appearance {
+        Appearance::Track(_) | Appearance::Template => Ok(None),
+        Appearance::File(path) => {
+            let file = cloud::read(path)?;
+            let expected = "points in the frame of a box, near its center";
+            if file.origin != DVec3::ZERO {
+                return Err(FileError::content(expected, format!("points around {}", file.origin), path));
+            }
+            let points: Vec<Point> = file.points.into_iter().filter(Point::is_finite).collect();
+            if points.is_empty() { Err(FileError::content(expected, "none", path)) } else { Ok(Some(points)) }
+        }
+        Appearance::Skeleton { skeleton: path, track } => {
+            let skeleton = Skeleton::open(path)?;
+            let mut assets = skeleton.manifest.actors.iter().zip(skeleton.actors()?);
+            let found = assets.find(|(asset, points)| asset.track == *track && !points.is_empty());
+            let missing = || FileError::content(format!("an asset of track {track}"), "none", path);
+            Ok(Some(found.ok_or_else(missing)?.1.to_vec()))
+        }
     }
 }

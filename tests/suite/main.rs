@@ -12,6 +12,7 @@ mod peer_lines;
 mod raster;
 mod rates;
 mod real_frames;
+mod scenario;
 mod sheet;
 mod skeleton_store;
 mod templates;

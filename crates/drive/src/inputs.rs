@@ -1,6 +1,7 @@
 use std::path::PathBuf;
 
 use point_skeleton::Log;
+use point_skeleton::dataset::ActorEdits;
 use point_skeleton::skeleton::Skeleton;
 use pskel_sim::Rates;
 use pskel_sim::rollout::{AnyError, ImageGenerator};
@@ -8,8 +9,10 @@ use serde_json::Value;
 
 /// What is shown and driven in.
 pub struct Inputs {
-    /// Log.
+    /// Log, with the edits of the scenario.
     pub log: Log,
+    /// Edits below those of the page.
+    pub scenario: ActorEdits,
     /// Name of the log as on the command line.
     pub log_name: String,
     /// Arguments of the command line with which the log was opened, such as `--sensor-root DIR`.

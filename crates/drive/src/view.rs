@@ -333,6 +333,7 @@ impl View {
             library: library.map(Into::into),
             use_default: self.default_templates,
             augment: self.augmentation,
+            ..SubstituteOptions::default()
         }
     }
 
@@ -365,7 +366,7 @@ impl View {
         add("occlusion", self.occlusion.to_string(), self.occlusion == usual.occlusion);
         let hidden: Vec<&str> = self.hide.iter().map(String::as_str).collect();
         add("hide", hidden.join(","), hidden.is_empty());
-        let ActorEdits { hold, replace } = &self.edits;
+        let ActorEdits { hold, replace, .. } = &self.edits;
         let held: Vec<String> = hold.iter().map(|(track, t_us)| format!("{track}@{t_us}")).collect();
         add("hold", held.join(","), held.is_empty());
         let replaced: Vec<String> = replace.iter().map(|(track, by)| format!("{track}={by}")).collect();

@@ -42,6 +42,7 @@ enum Command {
     Simulate(Box<commands::simulate::SimulateArgs>),
     #[cfg(feature = "drive")]
     Drive(Box<commands::drive::DriveArgs>),
+    Scenario(Box<commands::scenario::ScenarioCommandArgs>),
     Splat(commands::splat::SplatArgs),
     Convert(commands::convert::ConvertArgs),
     Templates(commands::templates::TemplatesArgs),
@@ -69,6 +70,7 @@ impl Command {
             Self::Simulate(args) => commands::simulate::run(*args),
             #[cfg(feature = "drive")]
             Self::Drive(args) => commands::drive::run(&args),
+            Self::Scenario(args) => commands::scenario::run(&args),
             Self::Splat(args) => commands::splat::run(args),
             Self::Convert(args) => commands::convert::run(args),
             Self::Templates(args) => commands::templates::run(&args),

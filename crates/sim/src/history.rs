@@ -32,9 +32,12 @@ impl History {
     /// Returns the logged states before step 0 that are at most [`HISTORY_US`] before a time, microseconds.
     pub(super) fn before_start(recorded: &Recorded<'_>, clock: &Clock, now_us: i64) -> Self {
         let mut history = Self::default();
+        let triggers = recorded.log.script.recorded(recorded.log, clock.start_us);
         for step in 1..=MAX_STATES as i64 {
             let t_us = clock.before_start(step);
-            let Some(instant) = recorded.instant(0, t_us).filter(|_| now_us - t_us <= HISTORY_US) else {
+            let known = recorded.log.script.known_at(&triggers, t_us);
+            let Some(instant) = recorded.instant(0, t_us, &known).filter(|_| now_us - t_us <= HISTORY_US)
+            else {
                 break;
             };
             let projection = recorded.logged_projection(&instant.ego, t_us);

@@ -10,9 +10,12 @@
 //! with a kinematic bicycle, and the actors move by their own policy. Forecasts apply the same rules to a
 //! copy that is then discarded.
 //!
+//! A log may have a scenario, whose conditions are met by the simulated ego; [`families`] makes some.
+//!
 //! A step is a pure function: the same log, options and plans give the same bytes, and a rollout that was
 //! saved and resumed equals an uninterrupted one.
 
+pub mod families;
 mod path;
 pub mod peer;
 pub mod report;

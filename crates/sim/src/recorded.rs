@@ -1,7 +1,7 @@
 use std::collections::BTreeMap;
 
 use glam::{DVec2, DVec3};
-use point_skeleton::dataset::{EgoTrack, Recording, TrackBox, TrafficLight};
+use point_skeleton::dataset::{Command, EgoTrack, Recording, TrackBox, TrafficLight, Triggers};
 use point_skeleton::geometry::{Cuboid, LineProjection, Pose, wrap_angle};
 
 use super::time::seconds;
@@ -16,6 +16,11 @@ const EGO_WINDOW_S: f64 = 0.5;
 const ACTOR_WINDOW_S: f64 = 0.6;
 /// Minimum time between frames that counts as a gap, seconds.
 const GAP_S: f64 = 1.0;
+/// Interval over which the motion of a scripted actor is measured, microseconds.
+const SCRIPT_WINDOW_US: i64 = 100_000;
+/// Interval and number of the boxes ahead on a scripted path.
+const AHEAD_STEP_US: i64 = 200_000;
+const AHEAD_STEPS: i64 = 300;
 /// Minimum speed for steering angles from yaw rates, meters per second.
 const CREEP_MPS: f64 = 0.5;
 
@@ -33,7 +38,7 @@ pub(super) struct Recorded<'a> {
     pub(super) log: &'a Recording,
     pub(super) route: Route,
     ego: EgoTrack,
-    /// Boxes of each track, in time order with absolute microseconds.
+    /// Boxes of each track without timed edits, in time order with absolute microseconds.
     tracks: Vec<Vec<(i64, Cuboid)>>,
     /// Times of the first and last frame, absolute microseconds.
     pub(super) first_us: i64,
@@ -58,6 +63,11 @@ impl<'a> Recorded<'a> {
                 }
             }
         }
+        for (track, boxes) in tracks.iter_mut().enumerate() {
+            if let Some(of_log) = log.script.boxes_of_log(track) {
+                *boxes = of_log;
+            }
+        }
         let ego = EgoTrack::new(log);
         Some(Self { log, route: Route::new(&ego), ego, tracks, first_us, last_us })
     }
@@ -70,10 +80,10 @@ impl<'a> Recorded<'a> {
         notes.into_iter().filter(|(_, n)| *n > 0).map(|(kind, n)| (kind.to_owned(), n)).collect()
     }
 
-    /// Returns the recorded state at a time; `None` outside the log.
-    pub(super) fn instant(&self, step: usize, t_us: i64) -> Option<Instant> {
-        let ego = self.ego_at(t_us)?;
-        Some(Instant { step, t_us, ego, actors: self.actors_at(t_us), lights: self.lights_at(t_us) })
+    /// Returns the recorded state at a time, with scripted actors; `None` outside the log.
+    pub(super) fn instant(&self, step: usize, t_us: i64, triggers: &Triggers) -> Option<Instant> {
+        let (ego, actors) = (self.ego_at(t_us)?, self.actors_at(t_us, triggers));
+        Some(Instant { step, t_us, ego, actors, lights: self.lights_at(t_us) })
     }
 
     /// Returns the recorded ego state: the exact pose, and motion from a parabola fitted to the surrounding
@@ -94,20 +104,52 @@ impl<'a> Recorded<'a> {
         })
     }
 
-    /// Returns the recorded actors at a time, sorted by track.
-    pub(super) fn actors_at(&self, t_us: i64) -> Vec<SimActor> {
-        let actor = |item: TrackBox| {
-            let moved = self.actor_motion(item.track, t_us);
-            SimActor {
-                track: item.track,
-                cuboid: item.cuboid,
-                speed_mps: moved.speed_mps,
-                lateral_mps: moved.lateral_mps,
-                yaw_rate_radps: moved.yaw_rate_radps,
-            }
+    /// Returns the recorded and scripted actors at a time, sorted by track.
+    pub(super) fn actors_at(&self, t_us: i64, triggers: &Triggers) -> Vec<SimActor> {
+        let script = &self.log.script;
+        let scripted: Vec<usize> = script.tracks().collect();
+        let mut boxes = self.log.boxes_at(t_us);
+        boxes.retain(|item| item.track < self.tracks.len() && scripted.binary_search(&item.track).is_err());
+        let item =
+            |track: &usize| Some(TrackBox { track: *track, cuboid: script.box_at(*track, t_us, triggers)? });
+        boxes.extend(scripted.iter().filter_map(item));
+        boxes.sort_by_key(|item| item.track);
+        boxes.into_iter().map(|item| self.actor_of(item, t_us, triggers)).collect()
+    }
+
+    /// Returns a box of log or script as an actor.
+    pub(super) fn actor_of(&self, item: TrackBox, t_us: i64, triggers: &Triggers) -> SimActor {
+        let moved = match self.log.script.command(item.track, t_us, triggers) {
+            Command::Free => self.actor_motion(item.track, t_us),
+            _ => self.scripted_motion(item, t_us, triggers),
         };
-        let boxes = self.log.boxes_at(t_us);
-        boxes.into_iter().filter(|b| b.track < self.tracks.len()).map(actor).collect()
+        SimActor {
+            track: item.track,
+            cuboid: item.cuboid,
+            speed_mps: moved.speed_mps,
+            lateral_mps: moved.lateral_mps,
+            yaw_rate_radps: moved.yaw_rate_radps,
+        }
+    }
+
+    /// Returns a scripted actor's motion: to its box shortly after, or else from the one shortly before.
+    fn scripted_motion(&self, item: TrackBox, t_us: i64, triggers: &Triggers) -> ActorMotion {
+        let at = |t_us: i64| Some(self.log.script.box_at(item.track, t_us, triggers)?.pose);
+        let here = Some(item.cuboid.pose);
+        let (script, after_us) = (&self.log.script, t_us.saturating_add(SCRIPT_WINDOW_US));
+        let goes_on =
+            script.since(item.track, after_us, triggers) == script.since(item.track, t_us, triggers);
+        let after = here.zip(at(after_us).filter(|_| goes_on));
+        let ends = after.or_else(|| at(t_us.saturating_sub(SCRIPT_WINDOW_US)).zip(here));
+        let Some((from, to)) = ends else { return ActorMotion::default() };
+        let window_s = SCRIPT_WINDOW_US as f64 / 1e6;
+        let velocity = (to.translation - from.translation).truncate() / window_s;
+        let heading = DVec2::from_angle(item.cuboid.pose.yaw_rad());
+        ActorMotion {
+            speed_mps: velocity.dot(heading),
+            lateral_mps: heading.perp_dot(velocity),
+            yaw_rate_radps: wrap_angle(to.yaw_rad() - from.yaw_rad()) / window_s,
+        }
     }
 
     /// Returns a track's motion at a time, from a line fitted to the surrounding boxes.
@@ -132,9 +174,15 @@ impl<'a> Recorded<'a> {
         self.route.around(self.route.station_at(t_us), place_m).project(place_m)
     }
 
-    /// Returns a track's boxes in time order, with absolute microseconds.
-    pub(super) fn boxes_of(&self, track: usize) -> &[(i64, Cuboid)] {
-        &self.tracks[track]
+    /// Returns a track's boxes after a time on the path of log or script, in time order.
+    pub(super) fn boxes_after(&self, track: usize, t_us: i64, triggers: &Triggers) -> Vec<Cuboid> {
+        let script = &self.log.script;
+        if script.has_path(track, t_us, triggers) {
+            let times_us = (1..=AHEAD_STEPS).map(|step| t_us.saturating_add(step * AHEAD_STEP_US));
+            return times_us.map_while(|t_us| script.box_at(track, t_us, triggers)).collect();
+        }
+        let later = self.tracks[track].iter().filter(|(at, _)| *at > t_us);
+        later.map(|(_, cuboid)| *cuboid).collect()
     }
 
     /// Returns the traffic lights of the last frame up to a time; after the log they keep their last state.

@@ -2,7 +2,7 @@ use std::collections::BTreeSet;
 use std::path::Path;
 
 use glam::{DQuat, DVec3};
-use point_skeleton::dataset::Recording;
+use point_skeleton::dataset::{Recording, Triggers};
 use point_skeleton::error::FileError;
 use point_skeleton::files::json;
 use point_skeleton::geometry::{Cuboid, LineProjection, Pose};
@@ -35,6 +35,9 @@ pub struct SavedState {
     actors: Vec<SavedActor>,
     movers: Vec<(usize, SavedMover)>,
     gone: BTreeSet<usize>,
+    /// Times of the scenario's changes.
+    #[serde(default, skip_serializing_if = "Triggers::is_empty")]
+    triggers: Triggers,
     plan: Option<Trajectory>,
     tally: MetricsAccumulator,
 }
@@ -98,6 +101,7 @@ impl SavedState {
             actors: instant.actors.iter().map(actor).collect(),
             movers: driven.movers.iter().map(|(track, mover)| (*track, mover.save())).collect(),
             gone: driven.gone.clone(),
+            triggers: driven.triggers.clone(),
             plan: saved.plan.as_ref().map(|plan| plan.get().clone()),
             tally: saved.tally.clone(),
         }
@@ -159,6 +163,9 @@ impl SavedState {
             }
         }
         let damaged = |what: &str| wrong(format!("valid {what}"), "damaged ones".to_owned());
+        if !recorded.log.script.fits(&self.triggers) {
+            return Err(damaged("times of the scenario's changes"));
+        }
         let instant = self.instant(clock, recorded).ok_or_else(|| damaged("places of ego and actors"))?;
         let driven = self.driven(recorded, &instant).ok_or_else(|| damaged("actors that were taken over"))?;
         if self.plan.as_ref().is_some_and(|plan| !plan.is_valid()) {
@@ -201,11 +208,12 @@ impl SavedState {
     fn driven(&self, recorded: &Recorded<'_>, instant: &Instant) -> Option<ControlledActors> {
         let mover = |(track, saved): &(usize, SavedMover)| {
             instant.actors.iter().find(|actor| actor.track == *track)?;
-            Some((*track, saved.open(recorded, *track)?))
+            Some((*track, saved.open(recorded, *track, &self.triggers)?))
         };
         let movers = self.movers.iter().map(mover).collect::<Option<_>>()?;
         let sorted = self.movers.windows(2).all(|w| w[0].0 < w[1].0);
-        sorted.then(|| ControlledActors { movers, gone: self.gone.clone() })
+        let (gone, triggers) = (self.gone.clone(), self.triggers.clone());
+        sorted.then_some(ControlledActors { movers, gone, triggers })
     }
 }
 

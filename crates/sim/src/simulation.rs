@@ -91,13 +91,15 @@ impl<'a> Simulation<'a> {
         let start_us = options.start_us.unwrap_or(first_us);
         let clock = Clock::of(&options, scenario.rates, start_us, log)?;
         let outside = || SimError::Start { first_us, last_us, found_us: start_us, log: log.name.clone() };
-        let first = recorded.instant(0, clock.start_us).ok_or_else(outside)?;
+        let triggers = log.script.recorded(log, clock.start_us);
+        let mut driven = ControlledActors { triggers, ..ControlledActors::default() };
+        let first = actors::replayed(&recorded, 0, clock.start_us, &mut driven).ok_or_else(outside)?;
         let road = scenario.map.as_ref().and_then(|map| Road::new(map.vector_map()));
         let start = match saved {
             Some(saved) => saved.open(&options, &clock, &recorded)?,
             None => {
                 let projection = recorded.logged_projection(&first.ego, clock.start_us);
-                let world = World { instant: first, driven: ControlledActors::default(), projection };
+                let world = World { instant: first, driven, projection };
                 let mut tally = MetricsAccumulator::default();
                 if clock.takeover == 0 {
                     tally.add(&recorded, road.as_ref(), &world);
@@ -298,8 +300,9 @@ impl<'a> Simulation<'a> {
             return self.advance(now, plan);
         }
         let step = now.instant.step + 1;
-        let instant = self.recorded.instant(step, self.clock.at(step))?;
-        Some(World { instant, driven: now.driven.clone(), projection: now.projection })
+        let mut driven = now.driven.clone();
+        let instant = actors::replayed(&self.recorded, step, self.clock.at(step), &mut driven)?;
+        Some(World { instant, driven, projection: now.projection })
     }
 
     /// Computes the state after another; `None` if the ego follows the log and the log has ended.
@@ -323,7 +326,9 @@ impl<'a> Simulation<'a> {
         let mut driven = now.driven.clone();
         let actors = actors::advance(policy, &self.recorded, &mut driven, &now.instant, (t_us, &ego));
         let lights = self.recorded.lights_at(t_us);
-        Some(World { instant: Instant { step, t_us, ego, actors, lights }, driven, projection })
+        let mut instant = Instant { step, t_us, ego, actors, lights };
+        actors::meet_conditions(&self.recorded, &mut instant, &mut driven);
+        Some(World { instant, driven, projection })
     }
 
     /// Returns whether the rollout is over.

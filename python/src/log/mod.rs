@@ -1,4 +1,5 @@
 pub(super) mod owned;
+mod scenario;
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::ffi::CString;
@@ -50,13 +51,15 @@ pub(crate) fn register_formats() {
 ///     What the ring numbers of sweeps are.
 /// image_distortion : {"usual", "apply", "ignore"}
 ///     Whether recorded images have the lens distortion that the calibration states.
+/// scenario : path or dict, optional
+///     Changes of the actors, a file or its content; without points of files, which only commands draw.
 ///
 /// Raises
 /// ------
 /// LogError
-///     If the log cannot be read.
+///     If the log or the scenario cannot be read.
 /// ValueError
-///     For an unknown value.
+///     For an unknown value, or a scenario that does not fit the log.
 ///
 /// Warns
 /// -----
@@ -73,7 +76,7 @@ pub(crate) struct Log {
 impl Log {
     #[new]
     #[pyo3(signature = (name, missing="skip", *, sensor_root=None, map_root=None, allow_outside=false,
-        ring_is="auto", image_distortion="usual"))]
+        ring_is="auto", image_distortion="usual", scenario=None))]
     #[allow(clippy::too_many_arguments)] // keyword arguments of Python
     fn new(
         py: Python<'_>,
@@ -84,7 +87,9 @@ impl Log {
         allow_outside: bool,
         ring_is: &str,
         image_distortion: &str,
+        scenario: Option<&Bound<'_, PyAny>>,
     ) -> PyResult<Self> {
+        let scenario = scenario.map(scenario::read).transpose()?.unwrap_or_default();
         let reading = ReadOptions {
             rings: named("ring_is", ring_is)?,
             distortion: named("image_distortion", image_distortion)?,
@@ -95,7 +100,8 @@ impl Log {
         let open = || {
             let log = LogOpener::new().open(&locator).map(point_skeleton::Log::new).map_err(raise)?;
             log.optional_map().map_err(raise)?;
-            Ok(OwnedLog::new(log))
+            let edited = log.edited(&scenario);
+            Ok(OwnedLog::new(edited.map_err(|error| PyValueError::new_err(error.to_string()))?))
         };
         let log: OwnedLog = detached(py, open)?;
         let gaps = &log.recording().gaps;
@@ -120,10 +126,15 @@ impl Log {
         self.inner.recording().gaps.iter().map(ToString::to_string).collect()
     }
 
-    /// Arguments with which commands open this log: its name, and options that are not the default.
+    /// Arguments with which commands open this log: its name, and options that are not the default. Raises
+    /// `ValueError` for a log with a scenario, which commands read from a file.
     #[getter]
-    fn arguments(&self) -> Vec<String> {
-        std::iter::once(self.text.clone()).chain(self.locator.arguments()).collect()
+    fn arguments(&self) -> PyResult<Vec<String>> {
+        if !self.inner.recording().edits.is_empty() {
+            let message = "expected a log without a scenario: commands read one with --scenario FILE";
+            return Err(PyValueError::new_err(message));
+        }
+        Ok(std::iter::once(self.text.clone()).chain(self.locator.arguments()).collect())
     }
 
     /// Name of the scene, which identifies the log in skeletons.
@@ -251,6 +262,10 @@ impl Log {
         keywords.set_item("allow_outside", allow_outside)?;
         keywords.set_item("ring_is", reading.rings.name())?;
         keywords.set_item("image_distortion", reading.distortion.name())?;
+        let edits = &self.inner.recording().edits;
+        if !edits.is_empty() {
+            keywords.set_item("scenario", scenario::content(py, edits)?)?;
+        }
         Ok(((&self.text, reading.missing.name()), keywords))
     }
 }

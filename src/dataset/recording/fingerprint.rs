@@ -123,6 +123,12 @@ impl Fingerprint {
             self.text(track);
             self.text(&appearance.to_string());
         }
+        for (track, size_m) in &edits.size_m {
+            self.text(track);
+            self.numbers(*size_m);
+        }
+        // The frames have the boxes of the recorded ego alone; a simulation has others.
+        edits.changes.iter().for_each(|change| self.text(&format!("{change:?}")));
     }
 
     /// Adds a list; its length keeps it apart from the next one.

@@ -10,7 +10,9 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use super::{ActorEdits, Class, DatasetError, Gap, MissingData, ReadOptions};
+use glam::DVec3;
+
+use super::{ActorEdits, Class, DatasetError, Gap, MissingData, ReadOptions, Script};
 use crate::files::FileName;
 use crate::files::text::printable;
 use crate::geometry::{Camera, Cuboid, Pose};
@@ -52,6 +54,8 @@ pub struct Recording {
     pub reading: ReadOptions,
     /// Edits of the actors, which tracks and boxes have.
     pub edits: ActorEdits,
+    /// Timed edits of the actors. The boxes have them as the recorded ego meets them.
+    pub script: Script,
 }
 
 /// Name and length of a log.
@@ -216,6 +220,17 @@ impl Recording {
         self.frames.iter().enumerate().filter_map(in_frame).collect()
     }
 
+    /// Returns the median length, width and height of a track's boxes, meters; 1 m without boxes.
+    pub fn median_size(&self, track: usize) -> DVec3 {
+        let boxes = self.track_boxes(track);
+        let median = |axis: usize| {
+            let mut sizes: Vec<f64> = boxes.iter().map(|(_, cuboid)| cuboid.size[axis]).collect();
+            sizes.sort_by(f64::total_cmp);
+            sizes.get(sizes.len() / 2).copied().unwrap_or(1.0)
+        };
+        DVec3::new(median(0), median(1), median(2))
+    }
+
     /// Returns all boxes at any time within the log, sorted by track, interpolated between the frames before
     /// and after. A track missing from either frame is omitted.
     pub fn boxes_at(&self, t_us: i64) -> Vec<TrackBox> {
@@ -248,10 +263,15 @@ impl Recording {
         self.routes.iter().rev().find(|route| route.frame <= frame)
     }
 
+    /// Returns the times of the first and last frame, absolute microseconds; `None` without frames.
+    pub fn ends_us(&self) -> Option<[i64; 2]> {
+        let ends = self.frames.first().zip(self.frames.last());
+        ends.map(|(first, last)| [first.t_us, last.t_us])
+    }
+
     /// Returns whether a time lies within the log.
     pub fn covers(&self, t_us: i64) -> bool {
-        let ends = self.frames.first().zip(self.frames.last());
-        ends.is_some_and(|(first, last)| (first.t_us..=last.t_us).contains(&t_us))
+        self.ends_us().is_some_and(|[first_us, last_us]| (first_us..=last_us).contains(&t_us))
     }
 }
 

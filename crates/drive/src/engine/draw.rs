@@ -45,10 +45,10 @@ impl Engine<'_> {
         let draw_s = start.elapsed().as_secs_f64();
         self.frame += 1;
         let (ego_follows_log, actors_follow_log) = match &self.stage {
-            Stage::Look(look) => (look.offset == EgoOffset::default(), self.view.edits.is_empty()),
+            Stage::Look(look) => (look.offset == EgoOffset::default(), !self.is_edited()),
             Stage::Live(live) => {
                 let is_warm_up = live.takeover.is_none();
-                let is_recorded = is_warm_up && self.view.edits.is_empty();
+                let is_recorded = is_warm_up && !self.is_edited();
                 (is_warm_up, is_recorded || self.actors_follow_log(live))
             }
         };

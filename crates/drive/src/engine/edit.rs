@@ -38,8 +38,13 @@ impl<'a> Engine<'a> {
         self.hub.tell(None, ServerMessage::Notice { level, text: &text }.json());
     }
 
+    /// Returns whether the scenario or the page has edited the log.
+    pub(super) fn is_edited(&self) -> bool {
+        !self.inputs.log.recording().edits.is_empty()
+    }
+
     /// Returns whether the actors of a simulation are those of the recorded images.
     pub(super) fn actors_follow_log(&self, live: &Live<'a>) -> bool {
-        live.beginning.actors == ActorPolicy::Replay && self.view.edits.is_empty()
+        live.beginning.actors == ActorPolicy::Replay && !self.is_edited()
     }
 }

@@ -127,6 +127,7 @@ fn run_log(
         let mut engine = engine; // ends before the scope, and with it the thread of the generator
         loop {
             let substitutes = engine.view.substitutes(options.templates.as_deref());
+            let substitutes = substitutes.for_log(inputs.log.recording());
             let (substitutes, report) = substitutes.make(&inputs.skeleton, inputs.log.name())?;
             let render = RenderOptions {
                 rasterizer: options.rasterizer.clone(),
@@ -257,7 +258,8 @@ impl<'a> Engine<'a> {
                 let offered = Offered { map: self.map.is_some(), generator: self.inputs.generator.is_some() };
                 let view = self.view.changed(*change, &self.cameras, offered)?;
                 if view.edits != self.view.edits {
-                    let edited = self.inputs.log.edited(&view.edits);
+                    let edits = self.inputs.scenario.clone().and(&view.edits);
+                    let edited = self.inputs.log.edited(&edits);
                     self.edited = Some(edited.map_err(|error| error.to_string())?);
                 }
                 self.view = view;
@@ -388,7 +390,7 @@ impl<'a> Engine<'a> {
     fn ask(&mut self) {
         let (log, hide) = (self.inputs.log.recording(), &self.view.hide);
         let Stage::Live(live) = &self.stage else { return };
-        let substitutes = || self.view.substitutes(self.options.templates.as_deref());
+        let substitutes = || self.view.substitutes(self.options.templates.as_deref()).for_log(log);
         let shown = |instant: &pskel_sim::Instant| scene_state(log, instant, self.map.clone()).hiding(hide);
         let follow_log = self.actors_follow_log(live);
         self.generation.ask(live.simulation(), substitutes, shown, follow_log);

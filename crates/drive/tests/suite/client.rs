@@ -53,7 +53,16 @@ pub(crate) fn inputs(folder: &Path, generator: Option<LiveGenerator>) -> Inputs 
     let skeleton_path = folder.join("skeleton");
     let skeleton = Skeleton::build(&log, &skeleton_path, &Default::default()).unwrap();
     let rates = Rates { sim_hz: 10.0, plan_hz: 5.0 };
-    Inputs { log, log_name: name, log_arguments: Vec::new(), skeleton, skeleton_path, rates, generator }
+    Inputs {
+        log,
+        scenario: Default::default(),
+        log_name: name,
+        log_arguments: Vec::new(),
+        skeleton,
+        skeleton_path,
+        rates,
+        generator,
+    }
 }
 
 impl Server {

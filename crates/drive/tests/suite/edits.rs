@@ -33,6 +33,7 @@ fn edited_actors_have_the_bytes_of_rendered_files() {
     let edits = ActorEdits {
         hold: BTreeMap::from([("ahead".to_owned(), t_us)]),
         replace: BTreeMap::from([("left".to_owned(), "ahead".into())]),
+        ..ActorEdits::default()
     };
     let log = inputs.log.edited(&edits).unwrap();
     let conditions = ConditionOptions {

@@ -11,6 +11,7 @@ mod pictures;
 mod py123d;
 mod rollout;
 mod rollout_files;
+mod scenario;
 mod skeleton;
 mod texts;
 
@@ -36,6 +37,7 @@ pub static TARGETS: std::sync::LazyLock<Vec<Target>> = std::sync::LazyLock::new(
     all.extend(network::TARGETS);
     all.extend(rollout::TARGETS);
     all.extend(rollout_files::TARGETS);
+    all.extend(scenario::TARGETS);
     all.extend(export::TARGETS);
     all.extend(peers::TARGETS);
     all.extend(pictures::TARGETS);

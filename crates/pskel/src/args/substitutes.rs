@@ -35,6 +35,7 @@ impl SubstituteArgs {
             library: self.templates.clone(),
             use_default: !self.no_default_templates,
             augment: self.augment,
+            ..SubstituteOptions::default()
         }
     }
 }

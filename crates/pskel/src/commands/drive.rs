@@ -18,6 +18,7 @@ use pskel_drive::{DriveError, DriveOptions, Inputs, LiveGenerator, OpenGenerator
 use pskel_sim::Rates;
 
 use super::simulate::{GeneratorArgs, GivenImages, Opened};
+use crate::args::actors::ScenarioArgs;
 use crate::args::log::{self, LogRoots};
 use crate::args::numbers::finite;
 use crate::args::outputs::output_folder;
@@ -62,6 +63,8 @@ pub(crate) struct DriveArgs {
     templates: Option<PathBuf>,
     #[command(flatten)]
     roots: LogRoots,
+    #[command(flatten)]
+    scenario: ScenarioArgs,
     /// Images that the generator makes per second [default: the planning rate of the recording]
     #[arg(long, value_name = "HZ", value_parser = rate_hz, help_heading = "Generator")]
     generate_hz: Option<f64>,
@@ -109,27 +112,33 @@ impl DriveArgs {
 
     fn open(&self, progress: &Progress<'_>) -> anyhow::Result<Inputs> {
         progress("opening the recording", 0, 0);
-        let log = self.roots.open(&self.log)?;
+        let opened = self.roots.open(&self.log)?;
+        let scenario = self.scenario.read_for(&opened)?;
+        let log = opened.edited(&scenario)?;
         let rates = Rates::of(self.log.format, log.recording());
         let generator = self.generator(&log, self.generate_hz.unwrap_or(rates.plan_hz))?;
         let default = || self.out.join(SKELETONS).join(folder_name(&log.recording().name));
         let path = self.skeleton.clone().unwrap_or_else(default);
         let is_built = path.join("skeleton.json").exists();
-        let skeleton = if is_built {
-            open_skeleton(&path, log.recording())?
-        } else {
-            self.build(&log, &path, progress)?
-        };
+        let skeleton =
+            if is_built { open_skeleton(&path, log.unedited())? } else { self.build(&log, &path, progress)? };
         print_progress(&format!("skeleton {}", path.display()));
         Ok(Inputs {
             log_name: self.log.to_string(),
-            log_arguments: self.roots.locate(&self.log).arguments(),
+            log_arguments: self.log_arguments(),
+            scenario,
             rates,
             generator,
             log,
             skeleton,
             skeleton_path: path,
         })
+    }
+
+    /// Returns the arguments with which other commands open the recording and its scenario.
+    fn log_arguments(&self) -> Vec<String> {
+        let scenario = self.scenario.file().map(|file| ["--scenario".to_owned(), file.display().to_string()]);
+        self.roots.locate(&self.log).arguments().into_iter().chain(scenario.into_iter().flatten()).collect()
     }
 
     /// Opens the generator. The first session takes what is opened here, later ones open it again.
@@ -164,7 +173,7 @@ impl DriveArgs {
         print_progress(&format!("building the skeleton {}", path.display()));
         let both = Both { page: progress, terminal: StageProgress::default(), done: Default::default() };
         let run = BuildRun { progress: &both, ..BuildRun::default() };
-        let input = BuildInput::all(log.reader());
+        let input = BuildInput::all(log.unedited_reader());
         Ok(skeleton::build(path, &[input], &BuildOptions::default(), &|_| Ok(Vec::new()), &run)?)
     }
 }

@@ -11,6 +11,7 @@ use pskel_generate::{CopiedLog, DatasetCopy};
 use pskel_sim::{ActorPolicy, EgoKind};
 
 use super::simulate::{self, ClipArgs, SimulateArgs};
+use crate::args::actors::ScenarioArgs;
 use crate::args::frames::MovedEgoArgs;
 use crate::args::generator::GeneratorArgs;
 use crate::args::maps::MapArgs;
@@ -44,7 +45,7 @@ pub(crate) struct GenerateArgs {
     /// Also write a copy of the data set (nuScenes) with the generated images, enlarged to the original size;
     /// all other files are links to the original. A new or empty folder, or an earlier copy, which is
     /// replaced
-    #[arg(long, value_name = "DIR")]
+    #[arg(long, value_name = "DIR", conflicts_with = "scenario")]
     dataset: Option<PathBuf>,
     /// Leave everything out of the copy but the generated samples: new tables, and generated.json, which
     /// lists them
@@ -58,6 +59,8 @@ pub(crate) struct GenerateArgs {
     generator: GeneratorArgs,
     #[command(flatten)]
     maps: MapArgs,
+    #[command(flatten)]
+    scenario: ScenarioArgs,
     #[command(flatten)]
     substitutes: SubstituteArgs,
     #[command(flatten)]
@@ -116,6 +119,7 @@ impl GenerateArgs {
             generator: self.generator,
             images: None,
             maps: self.maps,
+            scenario: self.scenario,
             substitutes: self.substitutes,
             rasterizer: self.rasterizer,
             opener: Arc::default(),

@@ -15,6 +15,7 @@ pub(super) mod info;
 #[cfg(feature = "network")]
 pub(super) mod protocol;
 pub(super) mod render;
+pub(super) mod scenario;
 pub(super) mod simulate;
 pub(super) mod splat;
 pub(super) mod templates;

@@ -3,6 +3,7 @@
 use std::sync::Arc;
 
 use glam::DVec2;
+use point_skeleton::dataset::Triggers;
 use point_skeleton::geometry::{Cuboid, Pose, wrap_angle};
 use point_skeleton::idm::{Idm, Leader};
 
@@ -43,11 +44,15 @@ pub(crate) struct Follower {
 }
 
 impl Follower {
-    /// Creates a follower of an actor's recorded boxes from a time (microseconds) on; `None` for a parked
-    /// actor, which stays on the log.
-    pub(super) fn join(recorded: &Recorded<'_>, actor: &SimActor, t_us: i64) -> Option<Self> {
-        let boxes = recorded.boxes_of(actor.track);
-        let later = boxes.iter().filter(|(at, _)| *at > t_us).map(|(_, cuboid)| cuboid.pose);
+    /// Creates a follower of an actor's recorded or scripted boxes from a time (microseconds) on; `None` for
+    /// a parked actor, which stays on the log.
+    pub(super) fn join(
+        recorded: &Recorded<'_>,
+        actor: &SimActor,
+        t_us: i64,
+        triggers: &Triggers,
+    ) -> Option<Self> {
+        let later = recorded.boxes_after(actor.track, t_us, triggers).into_iter().map(|cuboid| cuboid.pose);
         let mut poses = vec![actor.cuboid.pose];
         let place = |pose: &Pose| pose.translation.truncate();
         for pose in later.filter(|pose| pose.translation.is_finite()) {

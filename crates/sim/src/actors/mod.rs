@@ -6,6 +6,10 @@
 //! beyond the end of its track. It is removed permanently once it is far from the ego, because it could only
 //! jump back to its logged position. All actors react to the same state, so the result does not depend on
 //! their order.
+//!
+//! Actors that a scenario moves follow its script rather than a policy, unless it hands them to the
+//! Intelligent Driver Model. Its conditions are tested at each instant, after all have moved; the times at
+//! which they were met are part of the state.
 
 mod idm;
 mod leader;
@@ -15,7 +19,7 @@ pub use idm::idm_step;
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use point_skeleton::dataset::Class;
+use point_skeleton::dataset::{Class, Command, TrackBox, Triggers};
 use serde::{Deserialize, Serialize};
 
 use self::idm::Follower;
@@ -34,6 +38,8 @@ pub(super) struct ControlledActors {
     pub(super) movers: BTreeMap<usize, Mover>,
     /// Actors removed permanently.
     pub(super) gone: BTreeSet<usize>,
+    /// Times of the scenario's changes.
+    pub(super) triggers: Triggers,
 }
 
 /// Motion model of an actor.
@@ -45,11 +51,17 @@ pub(super) enum Mover {
 
 impl Mover {
     /// Takes over an actor from the log at a time (microseconds), if the policy supports it.
-    fn join(policy: ActorPolicy, recorded: &Recorded<'_>, actor: &SimActor, t_us: i64) -> Option<Self> {
+    fn join(
+        policy: ActorPolicy,
+        recorded: &Recorded<'_>,
+        actor: &SimActor,
+        t_us: i64,
+        triggers: &Triggers,
+    ) -> Option<Self> {
         let class = recorded.log.tracks[actor.track].class;
         match (policy, class) {
             (ActorPolicy::Idm, Class::MotorVehicle | Class::Cycle) => {
-                Follower::join(recorded, actor, t_us).map(Self::Idm)
+                Follower::join(recorded, actor, t_us, triggers).map(Self::Idm)
             }
             (ActorPolicy::Reactive, Class::MotorVehicle | Class::Cycle | Class::Pedestrian) => {
                 Some(Self::Reactive(ReactiveActor::join(recorded, actor, t_us)))
@@ -88,12 +100,13 @@ pub(super) enum SavedMover {
 
 impl SavedMover {
     /// Restores the mover; `None` if the log has no such actor.
-    pub(super) fn open(&self, recorded: &Recorded<'_>, track: usize) -> Option<Mover> {
+    pub(super) fn open(&self, recorded: &Recorded<'_>, track: usize, triggers: &Triggers) -> Option<Mover> {
         match *self {
             Self::Idm { joined_us, way_m, speed_mps } => {
-                let actors = recorded.actors_at(joined_us);
+                let known = recorded.log.script.known_at(triggers, joined_us);
+                let actors = recorded.actors_at(joined_us, &known);
                 let actor = actors.iter().find(|actor| actor.track == track)?;
-                let joined = Follower::join(recorded, actor, joined_us)?;
+                let joined = Follower::join(recorded, actor, joined_us, &known)?;
                 joined.placed(way_m, speed_mps).map(Mover::Idm)
             }
             Self::Reactive(cruiser) => Some(Mover::Reactive(cruiser)),
@@ -110,16 +123,23 @@ pub(super) fn advance(
     next: (i64, &EgoState),
 ) -> Vec<SimActor> {
     let (t_us, ego) = next;
-    let by_log = recorded.actors_at(t_us);
-    if policy == ActorPolicy::Replay {
+    let by_log = recorded.actors_at(t_us, &driven.triggers);
+    if policy == ActorPolicy::Replay && recorded.log.edits.first_simulated().is_none() {
         return by_log;
     }
     let near = |ego: &EgoState, actor: &SimActor| {
         ego.position_m().distance(actor.cuboid.pose.translation.truncate()) <= REACH_M
     };
     for actor in now.actors.iter().filter(|actor| near(&now.ego, actor)) {
-        if !driven.movers.contains_key(&actor.track) {
-            let mover = Mover::join(policy, recorded, actor, now.t_us);
+        let policy = match recorded.log.script.command(actor.track, t_us, &driven.triggers) {
+            Command::Idm => ActorPolicy::Idm,
+            Command::Free => policy,
+            Command::Script | Command::Absent => ActorPolicy::Replay,
+        };
+        if policy == ActorPolicy::Replay {
+            driven.movers.remove(&actor.track);
+        } else if !driven.movers.contains_key(&actor.track) {
+            let mover = Mover::join(policy, recorded, actor, now.t_us, &driven.triggers);
             driven.movers.extend(mover.map(|mover| (actor.track, mover)));
         }
     }
@@ -136,8 +156,46 @@ pub(super) fn advance(
             driven.gone.insert(actor.track);
         }
     }
-    let follows = |a: &SimActor| !driven.movers.contains_key(&a.track) && !driven.gone.contains(&a.track);
+    let is_scripted =
+        |track: usize| recorded.log.script.command(track, t_us, &driven.triggers) == Command::Script;
+    let follows = |a: &SimActor| {
+        !driven.movers.contains_key(&a.track) && (!driven.gone.contains(&a.track) || is_scripted(a.track))
+    };
     actors.extend(by_log.into_iter().filter(follows));
     actors.sort_by_key(|actor| actor.track);
     actors
+}
+
+/// Tests the conditions of the scenario at an instant, and moves the actors whose changes begin or end there.
+pub(super) fn meet_conditions(recorded: &Recorded<'_>, instant: &mut Instant, driven: &mut ControlledActors) {
+    let (script, t_us) = (&recorded.log.script, instant.t_us);
+    let cuboid_of = |track: usize| instant.actors.iter().find(|a| a.track == track).map(|a| a.cuboid);
+    if !script.fire(t_us, instant.ego.position_m(), &cuboid_of, &mut driven.triggers) {
+        return;
+    }
+    let triggers = &driven.triggers;
+    let moved =
+        |track: usize| matches!(script.command(track, t_us, triggers), Command::Script | Command::Absent);
+    driven.movers.retain(|track, _| !moved(*track));
+    instant.actors.retain(|a| driven.movers.contains_key(&a.track) || script.tracks().all(|t| t != a.track));
+    let free = script.tracks().filter(|track| !driven.movers.contains_key(track));
+    let free = free.filter(|track| !driven.gone.contains(track) || moved(*track));
+    let actor = |track: usize| {
+        let cuboid = script.box_at(track, t_us, triggers)?;
+        Some(recorded.actor_of(TrackBox { track, cuboid }, t_us, triggers))
+    };
+    instant.actors.extend(free.filter_map(actor));
+    instant.actors.sort_by_key(|actor| actor.track);
+}
+
+/// Returns the recorded state at a time after its conditions are tested; `None` outside the log.
+pub(super) fn replayed(
+    recorded: &Recorded<'_>,
+    step: usize,
+    t_us: i64,
+    driven: &mut ControlledActors,
+) -> Option<Instant> {
+    let mut instant = recorded.instant(step, t_us, &driven.triggers)?;
+    meet_conditions(recorded, &mut instant, driven);
+    Some(instant)
 }

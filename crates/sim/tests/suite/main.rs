@@ -4,8 +4,10 @@
 mod actors;
 mod course;
 mod external;
+mod families;
 mod live;
 mod local_path;
 mod peer_ends;
 mod replay;
 mod resume;
+mod scenario;

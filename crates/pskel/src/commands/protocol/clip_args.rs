@@ -4,7 +4,7 @@ use anyhow::Context;
 use clap::Args;
 use point_skeleton::conditions::write::meta::PromptParts;
 use point_skeleton::conditions::{Captions, ConditionOptions, MapFormat};
-use point_skeleton::dataset::{LogLocator, LogOpener};
+use point_skeleton::dataset::{ActorEdits, LogLocator, LogOpener};
 use point_skeleton::error::FileError;
 use point_skeleton::files::{Checksum, Inputs, OutputFolder, write_json};
 use point_skeleton::scene::{SelectionOptions, SubstituteOptions};
@@ -16,6 +16,7 @@ use serde_json::Value;
 
 use super::copy::CopyArgs;
 use super::logs::ProtocolLogs;
+use crate::args::actors::ScenarioArgs;
 use crate::args::generator::GeneratorArgs;
 use crate::args::images::ImageArgs;
 use crate::args::maps::MapArgs;
@@ -63,6 +64,8 @@ pub(crate) struct ClipProtocolArgs {
     #[command(flatten)]
     pub(super) maps: MapArgs,
     #[command(flatten)]
+    pub(super) scenario: ScenarioArgs,
+    #[command(flatten)]
     pub(super) substitutes: SubstituteArgs,
     #[command(flatten)]
     pub(super) rasterizer: RasterizerArgs,
@@ -88,6 +91,9 @@ struct Settings<'a> {
     library: Option<String>,
     prompt: PromptParts,
     captions: Option<Captions>,
+    /// Changes of the actors.
+    #[serde(skip_serializing_if = "ActorEdits::is_empty")]
+    scenario: ActorEdits,
 }
 
 impl ClipProtocolArgs {
@@ -96,6 +102,7 @@ impl ClipProtocolArgs {
         let log_paths = logs.iter().flat_map(LogLocator::inputs);
         Inputs::new(log_paths)
             .and(&self.prompt.annotations)
+            .and(self.scenario.file())
             .and(self.generator.inputs())
             .and(self.images.inputs())
             .and(self.substitutes.inputs())
@@ -176,6 +183,7 @@ impl ClipProtocolArgs {
             library: self.substitutes.options().fingerprint()?,
             prompt: self.prompt.read()?,
             captions: self.generator.all_captions()?,
+            scenario: self.scenario.read_for(&log)?,
         })?;
         let path = files.claim("protocol.json")?;
         check_settings(&path, &settings)?;

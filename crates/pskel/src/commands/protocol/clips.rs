@@ -28,7 +28,7 @@ use crate::args::outputs::FolderArgs;
 use crate::args::rollout::RolloutArgs;
 use crate::args::source::SourceArgs;
 use crate::progress::Progress;
-use crate::{logs, print_progress, print_result};
+use crate::{WrongUsage, logs, print_progress, print_result};
 
 /// Files in the folder itself.
 const FILES: [&str; 3] = ["protocol.json", "results.json", "table.md"];
@@ -64,6 +64,13 @@ pub(super) fn run(protocol: Protocol, args: &ClipProtocolArgs) -> anyhow::Result
     let logs = args.logs(protocol, &opener)?;
     let images = args.images.open()?.map(|folder| (folder, ImportCounts::default()));
     let copied = parts.iter().find(|part| part.copies_dataset);
+    if let (Some(part), Some(_)) = (copied, args.scenario.file()) {
+        let message = format!(
+            "expected no --scenario with a copy of the data set (part {}), whose boxes stay as they are",
+            part.name
+        );
+        return Err(WrongUsage(message).into());
+    }
     copied.map_or(Ok(()), |part| check_one_dataset(part, &logs))?;
     let files = OutputFolder::open(&args.given.folder.out, "protocol", &args.inputs(&logs))?;
     files.check(FILES)?;
@@ -99,7 +106,8 @@ pub(super) fn run(protocol: Protocol, args: &ClipProtocolArgs) -> anyhow::Result
 impl Run<'_> {
     /// Generates the clips of a log in all parts, after building its skeleton if it does not exist.
     fn generate(&mut self, locator: &LogLocator) -> anyhow::Result<()> {
-        let source = Rc::new(logs::open_by(locator, &self.opener)?);
+        let opened = logs::open_by(locator, &self.opener)?;
+        let source = Rc::new(opened.edited(&self.args.scenario.read_for(&opened)?)?);
         let log = source.recording();
         anyhow::ensure!(!self.logs.contains(&log.name), "expected each name once, found {} again", log.name);
         self.copy.as_ref().map_or(Ok(()), |copy| copy.check(log))?;
@@ -109,7 +117,7 @@ impl Run<'_> {
         if !skeleton.exists() {
             print_progress(&format!("building {}", skeleton.display()));
         }
-        let built = skeleton::open_or_build(&skeleton, source.reader())?;
+        let built = skeleton::open_or_build(&skeleton, source.unedited_reader())?;
         let limit = self.args.clips.map_or(usize::MAX, usize::from);
         let scenario = Scenario { log, map: source.require_map()?, rates };
         let paths = InputPaths {
@@ -200,6 +208,7 @@ impl Run<'_> {
             generator: args.generator.clone(),
             images,
             maps: args.maps.clone(),
+            scenario: args.scenario.clone(),
             substitutes: args.substitutes.clone(),
             rasterizer: args.rasterizer.clone(),
             opener: Arc::clone(&self.opener),

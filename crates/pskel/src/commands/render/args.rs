@@ -107,7 +107,7 @@ impl RenderArgs {
     /// Returns everything that is read.
     pub(super) fn inputs(&self) -> Inputs {
         let files = [&self.cameras, &self.prompt.annotations].into_iter().flatten();
-        self.source.inputs().and(files).and(self.substitutes.inputs())
+        self.source.inputs().and(files).and(self.actors.file()).and(self.substitutes.inputs())
     }
 
     /// Returns the maps to render of a log with or without an HD map; `None` if the HD map is requested but
@@ -130,12 +130,17 @@ impl RenderArgs {
         Ok(self.rate.hz.map_or(LogTimes::Frames(frames.clone()), |hz| LogTimes::Rate(frames, hz)))
     }
 
-    pub(super) fn options(&self, maps: MapSet, substitutes: SubstituteReport) -> RenderOptions {
+    pub(super) fn options(
+        &self,
+        log: &Recording,
+        maps: MapSet,
+        substitutes: SubstituteReport,
+    ) -> RenderOptions {
         RenderOptions {
             conditions: self.maps.conditions(maps),
             selection: self.maps.selection(),
             hide: self.actors.hidden(),
-            edits: self.actors.edits(),
+            edits: log.edits.clone(),
             hz: self.rate.hz,
             substitutes,
             ego_offset: self.moved.ego_offset.unwrap_or_default(),

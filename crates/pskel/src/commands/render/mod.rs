@@ -27,6 +27,13 @@ pub(crate) fn run(args: RenderArgs) -> anyhow::Result<()> {
     args.check()?;
     let source = args.actors.edit(&args.source.open()?)?;
     let log = source.recording();
+    if let Some(change) = log.edits.first_simulated() {
+        let message = format!(
+            "expected changes that need no simulation, found idm as change {change} of the \
+            scenario: use pskel simulate"
+        );
+        return Err(WrongUsage(message).into());
+    }
     for (note, count) in log.notes.iter().filter(|(note, _)| note.contains("camera_distortion")) {
         warn(&format!("{count} {note}"));
     }
@@ -50,8 +57,9 @@ pub(crate) fn run(args: RenderArgs) -> anyhow::Result<()> {
     let offset = args.moved.ego_offset.unwrap_or_default();
     let states = SceneSequence::new(log, args.times(log)?, offset, views, map).map_err(usage)?;
     let states = states.hiding(args.actors.hidden()).map_err(usage)?;
-    let (substitutes, substitute_report) = args.substitutes.options().make(&skeleton, &log.name)?;
-    let options = args.options(maps, substitute_report);
+    let (substitutes, substitute_report) =
+        args.substitutes.options().for_log(log).make(&skeleton, &log.name)?;
+    let options = args.options(log, maps, substitute_report);
     let mut renderer = Renderer::new(
         &skeleton,
         RenderOptions {

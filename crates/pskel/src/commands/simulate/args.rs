@@ -7,7 +7,7 @@ use clap::Args;
 use point_skeleton::Log;
 #[cfg(feature = "mcap")]
 use point_skeleton::conditions::MapFormat;
-use point_skeleton::dataset::{ChangedLog, LogOpener};
+use point_skeleton::dataset::{ChangedLog, LogOpener, Recording};
 use point_skeleton::files::{Inputs as InputPaths, OutputFile};
 use point_skeleton::scene::{EgoOffset, SceneMap, frame_rate_hz};
 #[cfg(feature = "network")]
@@ -23,6 +23,8 @@ use super::generation::{GeneratorArgs, GivenImages};
 use super::inputs::Inputs;
 use super::policies::PolicyArgs;
 use crate::args::actors::ActorArgs;
+#[cfg(feature = "network")]
+use crate::args::actors::ScenarioArgs;
 use crate::args::maps::MapArgs;
 use crate::args::numbers;
 use crate::args::outputs::{self, FolderArgs};
@@ -136,6 +138,7 @@ pub(crate) struct ClipArgs {
     /// Images of another program in the place of the generator's.
     pub(crate) images: GivenImages,
     pub(crate) maps: MapArgs,
+    pub(crate) scenario: ScenarioArgs,
     pub(crate) substitutes: SubstituteArgs,
     pub(crate) rasterizer: RasterizerArgs,
     pub(crate) opener: Arc<LogOpener>,
@@ -163,7 +166,7 @@ impl SimulateArgs {
             policies: PolicyArgs::of_clip(clip.ego, clip.actors, rates),
             generator: clip.generator,
             maps: clip.maps,
-            actors: ActorArgs::default(),
+            actors: ActorArgs::of_scenario(clip.scenario),
             substitutes: clip.substitutes,
             rasterizer: clip.rasterizer,
             frames,
@@ -201,8 +204,8 @@ impl SimulateArgs {
 
     /// Returns a note if policies that leave the log decide less than half of the steps. Protocols choose
     /// their warm-up themselves.
-    pub(super) fn note_on_warmup(&self, takeover: usize, steps: usize) -> Option<String> {
-        let follows_log = self.follow_log() == [true, true];
+    pub(super) fn note_on_warmup(&self, log: &Recording, takeover: usize, steps: usize) -> Option<String> {
+        let follows_log = self.follow_log(log) == [true, true];
         (!follows_log && !self.least_warmup && 2 * takeover > steps).then(|| {
             format!(
                 "warm-up: the policies take over at step {takeover} of {steps}; more --steps or a lower \
@@ -213,7 +216,8 @@ impl SimulateArgs {
 
     /// Returns everything that is read.
     pub(super) fn input_paths(&self) -> InputPaths {
-        let files = [self.prompt.annotations.as_deref(), self.policies.trajectory.as_deref()];
+        let files =
+            [self.prompt.annotations.as_deref(), self.policies.trajectory.as_deref(), self.actors.file()];
         self.source
             .inputs()
             .and(files.into_iter().flatten())
@@ -309,8 +313,8 @@ impl SimulateArgs {
     }
 
     /// Returns whether ego and other actors follow the log throughout.
-    pub(super) fn follow_log(&self) -> [bool; 2] {
-        let actors = self.policies.actors == ActorPolicy::Replay && self.actors.edits().is_empty();
+    pub(super) fn follow_log(&self, log: &Recording) -> [bool; 2] {
+        let actors = self.policies.actors == ActorPolicy::Replay && log.edits.is_empty();
         [self.policies.ego == EgoKind::Replay, actors]
     }
 

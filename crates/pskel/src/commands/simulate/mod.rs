@@ -71,7 +71,8 @@ pub(crate) fn rollout(args: SimulateArgs) -> anyhow::Result<String> {
         actors: simulation.actors.name(),
         is_open_loop: args.is_open_loop(),
     };
-    let (substitutes, substitute_report) = args.substitutes.options().make(skeleton, &log.name)?;
+    let (substitutes, substitute_report) =
+        args.substitutes.options().for_log(log).make(skeleton, &log.name)?;
     let generator = opened.as_ref().map(Opened::record).transpose()?.unwrap_or(Value::Null);
     let extra = rollout_extra(&substitute_report, generator)?;
     let facts = opened.iter().map(Opened::fact).collect();
@@ -87,7 +88,7 @@ pub(crate) fn rollout(args: SimulateArgs) -> anyhow::Result<String> {
     if args.rollout.resume_after().is_some() && rollout.steps_done() == 0 {
         warn("--resume: found no earlier steps, starting at step 0");
     }
-    if let Some(note) = args.note_on_warmup(rollout.takeover_step(), planned.steps) {
+    if let Some(note) = args.note_on_warmup(log, rollout.takeover_step(), planned.steps) {
         warn(&note);
     }
     let render = RenderOptions {
@@ -97,8 +98,9 @@ pub(crate) fn rollout(args: SimulateArgs) -> anyhow::Result<String> {
         ..RenderOptions::default()
     };
     let mut renderer = Renderer::new(skeleton, render)?;
-    let generate =
-        |opened: Opened| opened.session(&inputs.log, inputs.map.is_some(), &inputs.prompt, args.follow_log());
+    let generate = |opened: Opened| {
+        opened.session(&inputs.log, inputs.map.is_some(), &inputs.prompt, args.follow_log(log))
+    };
     let mut generator = opened.map(generate).transpose()?;
     let mut progress = Progress::new(rollout.steps_left());
     let mut on_step = |name: &str| progress.step(name);

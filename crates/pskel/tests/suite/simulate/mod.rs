@@ -5,6 +5,7 @@ pub(super) mod generated;
 pub(super) mod mcap;
 pub(super) mod mcap_file;
 pub(super) mod peer_ends;
+pub(super) mod scenario;
 
 use std::collections::BTreeSet;
 use std::os::unix::fs::PermissionsExt;
