@@ -6,6 +6,7 @@ mod course;
 mod external;
 mod live;
 mod local_path;
+mod pdm;
 mod peer_ends;
 mod replay;
 mod resume;
