@@ -11,6 +11,7 @@ use pskel_generate::{CopiedLog, DatasetCopy};
 use pskel_sim::{ActorPolicy, EgoKind};
 
 use super::simulate::{self, ClipArgs, SimulateArgs};
+use crate::args::actors::ActorArgs;
 use crate::args::frames::MovedEgoArgs;
 use crate::args::generator::GeneratorArgs;
 use crate::args::maps::MapArgs;
@@ -108,7 +109,9 @@ impl GenerateArgs {
             rollout: self.rollout,
             clock: self.every.map(|every| ClipClock::Frames(usize::from(every))),
             ego: EgoKind::Replay,
+            planner: None,
             actors: ActorPolicy::Replay,
+            changes: ActorArgs::default(),
             least_warmup: false,
             ego_offset: self.moved.ego_offset,
             copies_dataset: self.dataset.is_some(),

@@ -24,6 +24,7 @@ use serde_json::json;
 use super::super::simulate::{self, ClipArgs, SimulateArgs};
 use super::clip_args::ClipProtocolArgs;
 use super::copy::check_one_dataset;
+use crate::args::actors::ActorArgs;
 use crate::args::outputs::FolderArgs;
 use crate::args::rollout::RolloutArgs;
 use crate::args::source::SourceArgs;
@@ -192,6 +193,8 @@ impl Run<'_> {
             },
             clock: Some(clip.clock),
             ego: part.ego.kind(),
+            planner: None,
+            changes: ActorArgs::default(),
             actors: if part.ego == EgoPolicy::Replay { ActorPolicy::Replay } else { args.actors },
             least_warmup: true,
             ego_offset: None,

@@ -126,7 +126,11 @@ pub(crate) struct ClipArgs {
     /// `None` for the frames of the log, at the default stride.
     pub(crate) clock: Option<ClipClock>,
     pub(crate) ego: EgoKind,
+    /// Planner of [`EgoKind::External`].
+    pub(crate) planner: Option<PlannerAddress>,
     pub(crate) actors: ActorPolicy,
+    /// Changes of the log's actors.
+    pub(crate) changes: ActorArgs,
     pub(crate) least_warmup: bool,
     pub(crate) ego_offset: Option<EgoOffset>,
     /// Whether generated images replace the data set's.
@@ -160,10 +164,10 @@ impl SimulateArgs {
             #[cfg(feature = "mcap")]
             mcap: None,
             prompt: clip.prompt,
-            policies: PolicyArgs::of_clip(clip.ego, clip.actors, rates),
+            policies: PolicyArgs::of_clip((clip.ego, clip.planner), clip.actors, rates),
             generator: clip.generator,
             maps: clip.maps,
-            actors: ActorArgs::default(),
+            actors: clip.changes,
             substitutes: clip.substitutes,
             rasterizer: clip.rasterizer,
             frames,
