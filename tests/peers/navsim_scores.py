@@ -61,13 +61,16 @@ class Database:
         self.db = sqlite3.connect(f"file:{path}?mode=ro", uri=True)
         self.log, self.map = self.db.execute("SELECT logfile, map_version FROM log").fetchone()
         rows = self.db.execute(
-            "SELECT l.token, l.timestamp, p.x, p.y, p.qw, p.qx, p.qy, p.qz, p.vx, p.vy, p.acceleration_x, p.acceleration_y, s.roadblock_ids "
-            "FROM lidar_pc l JOIN ego_pose p ON p.token = l.ego_pose_token JOIN scene s ON s.token = l.scene_token ORDER BY l.timestamp").fetchall()
+            "SELECT l.token, l.timestamp, p.x, p.y, p.qw, p.qx, p.qy, p.qz, p.vx, p.vy, p.acceleration_x, p.acceleration_y, "
+            "s.roadblock_ids "
+            "FROM lidar_pc l JOIN ego_pose p ON p.token = l.ego_pose_token "
+            "JOIN scene s ON s.token = l.scene_token ORDER BY l.timestamp").fetchall()
         self.tokens, self.times, self.routes = [r[0] for r in rows], [r[1] for r in rows], [r[12] for r in rows]
         yaw = [math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)) for _, _, _, _, w, x, y, z, *_ in rows]
         self.ego = np.column_stack([[r[2] for r in rows], [r[3] for r in rows], np.unwrap(yaw), [r[8:12] for r in rows]])
         self.tracks = {}
-        query = ("SELECT l.timestamp, hex(b.track_token), c.name, b.x, b.y, b.yaw, b.vx, b.vy, b.length, b.width, b.height FROM lidar_box b "
+        query = ("SELECT l.timestamp, hex(b.track_token), c.name, b.x, b.y, b.yaw, b.vx, b.vy, b.length, b.width, b.height "
+                 "FROM lidar_box b "
                  "JOIN lidar_pc l ON l.token = b.lidar_pc_token JOIN track t ON t.token = b.track_token "
                  "JOIN category c ON c.token = t.category_token ORDER BY l.timestamp")
         for t, token, name, *values in self.db.execute(query):
@@ -111,7 +114,8 @@ class Database:
             boxes.append([cos * dx + sin * dy, cos * dy - sin * dx, 0.0, length, width, height, yaw - heading])
             velocities.append([cos * bvx + sin * bvy, cos * bvy - sin * bvx, 0.0])
             tokens.append(token)
-        lights = self.db.execute("SELECT lane_connector_id, status FROM traffic_light_status WHERE lidar_pc_token = ?", (self.tokens[before],))
+        query = "SELECT lane_connector_id, status FROM traffic_light_status WHERE lidar_pc_token = ?"
+        lights = self.db.execute(query, (self.tokens[before],))
         lights = [(id, status == "red") for id, status in lights]
         annotations = SimpleNamespace(names=names, boxes=np.array(boxes), velocity_3d=np.array(velocities), instance_tokens=tokens,
                                       track_tokens=tokens)
@@ -163,13 +167,15 @@ def main():
             for frame in frames if red else ():
                 frame.traffic_lights = [(id, True) for id in red]
             metadata = SimpleNamespace(map_name=database.map, num_history_frames=4, log_name=database.log)
-            scene = SimpleNamespace(scene_metadata=metadata, frames=frames, extended_detections_tracks=None, extended_traffic_light_data=None)
+            scene = SimpleNamespace(scene_metadata=metadata, frames=frames, extended_detections_tracks=None,
+                                    extended_traffic_light_data=None)
             scenario = navsim_scenario.NavSimScenario(scene, str(maps), "nuplan-maps-v1.0")
             cache = MetricCacheProcessor(None, True, SAMPLING).compute_metric_cache(scenario)
             ego = frames[3].ego_status.ego_pose
             reference = get_trajectory_as_array(cache.trajectory, SAMPLING, cache.ego_state.time_point)
             row = {"frame": start, "red": red, "route_lanes": sorted(cache.route_lane_ids),
-                   "history": [relative(ego, f.ego_status.ego_pose) + [*f.ego_status.ego_velocity, *f.ego_status.ego_acceleration] for f in frames[:4]],
+                   "history": [relative(ego, f.ego_status.ego_pose) + [*f.ego_status.ego_velocity, *f.ego_status.ego_acceleration]
+                               for f in frames[:4]],
                    "centerline_m": cache.centerline.length,
                    "reference": [[round(v, 7) for v in relative(ego, state[:3])] for state in reference], "plans": []}
             own = float(frames[3].ego_status.ego_velocity[0])
@@ -181,7 +187,8 @@ def main():
                     table, states = pdm_score(cache, trajectory, SAMPLING, simulator, scorer, policy)
                     results.append([float(table[name].iloc[0]) for name in SCORES])
                 comfort = bool(ego_is_comfortable(states[None], np.arange(41) * 0.1).all())
-                row["plans"].append({"poses": poses, "scores": results[0], "filtered": results[1], "score": float(table["pdm_score"].iloc[0]),
+                row["plans"].append({"poses": poses, "scores": results[0], "filtered": results[1],
+                                     "score": float(table["pdm_score"].iloc[0]),
                                      "comfort": comfort, "end": relative(ego, states[-1, :3])})
                 if not red and number in earlier and 0 < t0 - earlier[number][1] < 550_000:
                     overlap = round((t0 - earlier[number][1]) / 1e5)
