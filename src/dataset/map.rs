@@ -21,8 +21,26 @@ pub struct VectorMap {
     pub walkways: Vec<Area>,
     /// Dividers: painted or built lines between lanes and roads.
     pub dividers: Vec<Vec<DVec2>>,
+    /// Roads and groups of lanes; `None` if the reader does not know them.
+    pub network: Option<RoadNetwork>,
     /// Number of items that the reader skipped or missed, by kind.
     pub notes: BTreeMap<String, usize>,
+}
+
+/// Kinds of drivable areas and groups of lanes, as nuPlan's maps tell them apart.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct RoadNetwork {
+    /// Areas of roads outside of intersections.
+    pub roads: Vec<Area>,
+    /// Areas of intersections.
+    pub intersections: Vec<Area>,
+    /// Areas of car parks.
+    pub car_parks: Vec<Area>,
+    /// Ids of the roadblock (group of parallel lanes) or roadblock connector of lanes and lane connectors, by
+    /// the ids of these.
+    pub roadblocks: BTreeMap<String, String>,
+    /// Speed limits of lanes and lane connectors by their ids, meters per second.
+    pub speed_limits_mps: BTreeMap<String, f64>,
 }
 
 /// Lane, or connector between two lanes.

@@ -53,7 +53,7 @@ pub(crate) use category::CategoryKind;
 pub use category::{Class, layout_rgb};
 pub use changed_log::ChangedLog;
 pub use edits::{ActorEdits, Appearance, EditError, HeldTrack, ReplacedTrack};
-pub use map::{Area, Lane, VectorMap};
+pub use map::{Area, Lane, RoadNetwork, VectorMap};
 pub use picture::{picture_size, read_picture, undecodable};
 pub use reading::{ImageDistortion, ReadOptions, RingMeaning};
 pub use recording::ego_track::EgoTrack;

@@ -16,6 +16,7 @@ mod evaluate;
 #[cfg(feature = "town")]
 mod fidelity;
 mod images;
+mod intervals;
 mod networks;
 pub mod plot;
 pub mod protocol;
@@ -37,6 +38,7 @@ pub use images::motion::{MOVING_MPS, Motion, MotionSums, MovingFrame, moving_mas
 pub use images::seams::SeamSums;
 pub use images::sharpness::sharpness;
 pub use images::ssim::ssim;
+pub use intervals::{Interval, score_interval, share_interval};
 pub use networks::{Distance, MetricNetworks, NetworkError, NetworkPaths};
 pub use scores::{RolloutScores, ScoreError, ScoredFrame, Scores, Series, VehicleIou};
 pub use statistics::{MeanInterval, mean_interval, paired_difference};

@@ -1,6 +1,7 @@
 //! Cells of tables as text.
 
 use crate::MeanInterval;
+use crate::intervals::Interval;
 
 /// Formats a number, or a dash for `None`.
 pub(crate) fn number(value: Option<f64>, digits: usize) -> String {
@@ -12,6 +13,12 @@ pub(crate) fn interval(value: Option<MeanInterval>, digits: usize) -> String {
     let Some(MeanInterval { mean, half_width, .. }) = value else { return "-".to_owned() };
     let off = half_width.map_or_else(String::new, |half| format!(" ± {half:.digits$}"));
     format!("{mean:.digits$}{off}")
+}
+
+/// Formats a mean with the ends of its interval, or a dash for `None`.
+pub(crate) fn range(value: Option<Interval>, digits: usize) -> String {
+    let Some(Interval { mean, low, high, .. }) = value else { return "-".to_owned() };
+    format!("{mean:.digits$} [{low:.digits$}, {high:.digits$}]")
 }
 
 /// Aligns cells in columns. All rows have the same number of cells.

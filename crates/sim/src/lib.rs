@@ -17,6 +17,7 @@
 
 pub mod families;
 mod path;
+pub mod pdm;
 pub mod peer;
 pub mod report;
 pub mod rollout;
@@ -32,6 +33,7 @@ mod options;
 mod recorded;
 mod saved;
 mod scenario;
+mod scores;
 mod simulation;
 mod state;
 mod time;
@@ -48,6 +50,7 @@ pub use path::trajectory::{Trajectory, Waypoint};
 pub use path::trajectory_file::TrajectoryFile;
 pub use saved::SavedState;
 pub use scenario::{Scenario, scene_state};
+pub use scores::{AlpaSimScores, DrivingScores, NeuroNcap, ncap_score};
 pub use simulation::{EndReason, Simulation, StepOutcome};
 pub use state::{
     Committed, EGO_SIZE_M, EgoState, Forecast, Instant, OtherSimulation, REAR_AXLE_TO_CENTER_M, SimActor,

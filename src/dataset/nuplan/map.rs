@@ -15,7 +15,7 @@ use super::projection::Utm;
 use crate::dataset::recording::degenerate::{Fault, Unreadable, note_fault, note_missing};
 use crate::dataset::recording::notes::{Counts, count};
 use crate::dataset::wkb::{self, Shape};
-use crate::dataset::{Area, DatasetError, Lane, VectorMap};
+use crate::dataset::{Area, DatasetError, Lane, RoadNetwork, VectorMap};
 use crate::error::FileError;
 use crate::files::{FileName, json};
 
@@ -24,6 +24,12 @@ const INDEX: &str = "nuplan-maps-v1.0.json";
 
 /// Layer that every map has.
 const LANES: &str = "lanes_polygons";
+
+/// Column with the speed limit, meters per second.
+const SPEED_LIMIT: &str = "speed_limit_mps";
+
+/// Groups of lanes, and speed limits in meters per second, by ids of lanes.
+type Groups = (BTreeMap<String, String>, BTreeMap<String, f64>);
 
 /// Entry of the index.
 #[derive(Deserialize)]
@@ -50,15 +56,29 @@ pub(super) fn read(folder: &Path, name: &str, location: &str) -> Result<Option<V
     }
     let mut notes = Counts::new();
     let (lanes, lane_connectors) = layers.lanes(&mut notes)?;
+    let area = |layer: &str, notes: &mut Counts| layers.areas(layer, notes);
+    let roads = area("lane_groups_polygons", &mut notes)?;
+    let intersections = area("intersections", &mut notes)?;
+    let others = area("generic_drivable_areas", &mut notes)?;
+    let car_parks = area("carpark_areas", &mut notes)?;
+    // The generic drivable areas alone lack roads and intersections.
+    let drivable_area = [&roads, &intersections, &others, &car_parks].map(|areas| &areas[..]).concat();
     Ok(Some(VectorMap {
         location: location.to_owned(),
         lanes,
         lane_connectors,
-        drivable_area: layers.drivable_area(&mut notes)?,
+        drivable_area,
         crossings: layers.areas("crosswalks", &mut notes)?,
         stop_lines: layers.areas("stop_polygons", &mut notes)?,
         walkways: layers.areas("walkways", &mut notes)?,
         dividers: layers.lines("boundaries", &mut notes)?,
+        network: layers.groups(&mut notes)?.map(|(roadblocks, speed_limits_mps)| RoadNetwork {
+            roads,
+            intersections,
+            car_parks,
+            roadblocks,
+            speed_limits_mps,
+        }),
         notes,
     }))
 }
@@ -162,14 +182,37 @@ impl Layers {
         Ok(all)
     }
 
-    /// Reads roads, intersections, generic drivable areas and car parks. The layer `generic_drivable_areas`
-    /// alone lacks roads and intersections.
-    fn drivable_area(&self, notes: &mut Counts) -> Result<Vec<Area>, DatasetError> {
-        let mut all = Vec::new();
-        for layer in ["lane_groups_polygons", "intersections", "generic_drivable_areas", "carpark_areas"] {
-            all.extend(self.areas(layer, notes)?);
+    /// Reads the groups of lanes and lane connectors, and their speed limits, by their ids; `None` if the map
+    /// has no groups. Rows that cannot be read are counted.
+    fn groups(&self, notes: &mut Counts) -> Result<Option<Groups>, DatasetError> {
+        let (mut roadblocks, mut limits_mps) = Groups::default();
+        for (table, group) in [(LANES, "lane_group_fid"), ("lane_connectors", "lane_group_connector_fid")] {
+            for column in [group, SPEED_LIMIT] {
+                if !self.database.has_column(table, column)? {
+                    return Ok(None);
+                }
+            }
+            let mut add = |row: &Row<'_>| -> Result<(), DatasetError> {
+                let id = row.integer(0)?.to_string();
+                let limit_mps = if row.is_null(2) { None } else { Some(row.number(2)?) };
+                let limit_mps = limit_mps.filter(|limit_mps| limit_mps.is_finite() && *limit_mps > 0.0);
+                limits_mps.extend(limit_mps.map(|limit_mps| (id.clone(), limit_mps)));
+                roadblocks.extend(row.identifier(1)?.map(|group| (id, group.to_string())));
+                Ok(())
+            };
+            let (mut known, mut unreadable) = (0, Unreadable::default());
+            let columns = ["rowid", group, SPEED_LIMIT];
+            let query = Query { table, columns: &columns, from: &format!("FROM {table}") };
+            self.database.rows(&query, |row| {
+                match add(row) {
+                    Ok(()) => known += 1,
+                    Err(error) => unreadable.add(|| error),
+                }
+                Ok(())
+            })?;
+            unreadable.note(&format!("groups of {table}"), known, notes)?;
         }
-        Ok(all)
+        Ok(Some((roadblocks, limits_mps)))
     }
 
     fn lines(&self, layer: &str, notes: &mut Counts) -> Result<Vec<Vec<DVec2>>, DatasetError> {

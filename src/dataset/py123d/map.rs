@@ -218,6 +218,7 @@ impl Objects<'_> {
             stop_lines,
             walkways,
             dividers,
+            network: None,
             notes,
         })
     }

@@ -77,6 +77,12 @@ impl ActorArgs {
 }
 
 impl ScenarioArgs {
+    /// Returns the scenario of a file.
+    #[cfg(feature = "network")]
+    pub(crate) fn of_file(path: &Path) -> Self {
+        Self { scenario: Some(path.to_owned()) }
+    }
+
     /// Returns the file that is read.
     pub(crate) fn file(&self) -> Option<&Path> {
         self.scenario.as_deref()

@@ -111,6 +111,7 @@ impl GenerateArgs {
             rollout: self.rollout,
             clock: self.every.map(|every| ClipClock::Frames(usize::from(every))),
             ego: EgoKind::Replay,
+            planner: None,
             actors: ActorPolicy::Replay,
             least_warmup: false,
             ego_offset: self.moved.ego_offset,

@@ -8,7 +8,7 @@ mod ttc;
 
 pub use collision::{Collision, CollisionKind};
 pub use comfort::Comfort;
-pub(super) use road::Road;
+pub(super) use road::{Areas, Road, in_ring, is_sound};
 pub use statistics::{Deviation, Range};
 
 use std::collections::BTreeSet;

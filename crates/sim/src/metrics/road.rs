@@ -17,7 +17,8 @@ pub(crate) struct Road {
     successors: Vec<Vec<usize>>,
 }
 
-struct Areas {
+/// Areas, found by position.
+pub(crate) struct Areas {
     areas: Vec<Area>,
     /// Indices of areas, keyed by their bounding rectangle.
     places: RTree<GeomWithData<Rectangle<[f64; 2]>, usize>>,
@@ -42,6 +43,11 @@ impl Road {
         (!road.drivable.areas.is_empty()).then_some(road)
     }
 
+    /// Returns whether a position (global, meters) is outside the drivable area.
+    pub(crate) fn is_off(&self, place: DVec2) -> bool {
+        self.drivable.around(place).is_empty()
+    }
+
     /// Returns the share of a box's footprint outside the drivable area, 0 to 1, sampled at the centers of 10
     /// by 4 cells and at the corners. A corner outside counts for at least one cell.
     pub(crate) fn share_off(&self, cuboid: &Cuboid) -> f64 {
@@ -52,7 +58,7 @@ impl Road {
             footprint.center + footprint.forward * local.x + footprint.forward.perp() * local.y
         };
         let cells = (0..CELLS[0]).flat_map(|i| (0..CELLS[1]).map(move |j| (i, j)));
-        let off = |place: DVec2| self.drivable.around(place).is_empty();
+        let off = |place: DVec2| self.is_off(place);
         let cells_off = cells.filter(|&(i, j)| off(middle(i, j))).count();
         let corner_off = footprint.corners().into_iter().any(off);
         cells_off.max(usize::from(corner_off)) as f64 / (CELLS[0] * CELLS[1]) as f64
@@ -73,7 +79,8 @@ impl Road {
 }
 
 impl Areas {
-    fn new<'a>(areas: impl IntoIterator<Item = &'a Area>) -> Self {
+    /// Indexes the areas with finite corners.
+    pub(crate) fn new<'a>(areas: impl IntoIterator<Item = &'a Area>) -> Self {
         let areas: Vec<Area> = areas.into_iter().filter(|area| is_sound(area)).cloned().collect();
         let place = |(number, area): (usize, &Area)| {
             let (low, high) = (
@@ -87,13 +94,14 @@ impl Areas {
     }
 
     /// Returns the indices of the areas that contain a position (global, meters).
-    fn around(&self, place: DVec2) -> Vec<usize> {
+    pub(crate) fn around(&self, place: DVec2) -> Vec<usize> {
         let near = self.places.locate_in_envelope_intersecting(AABB::from_point(place.to_array()));
         near.map(|near| near.data).filter(|number| contains(&self.areas[*number], place)).collect()
     }
 }
 
-fn is_sound(area: &Area) -> bool {
+/// Returns whether an area has corners, all of them finite.
+pub(crate) fn is_sound(area: &Area) -> bool {
     !area.exterior.is_empty() && area.exterior.iter().all(|p| p.is_finite())
 }
 
@@ -103,7 +111,7 @@ fn contains(area: &Area, place: DVec2) -> bool {
 }
 
 /// Counts the edges crossed by a ray along x: an odd number means inside.
-fn in_ring(ring: &[DVec2], place: DVec2) -> bool {
+pub(crate) fn in_ring(ring: &[DVec2], place: DVec2) -> bool {
     let crosses = |i: &usize| {
         let (a, b) = (ring[*i], ring[(i + 1) % ring.len()]);
         (a.y > place.y) != (b.y > place.y) && place.x < a.x + (b.x - a.x) * (place.y - a.y) / (b.y - a.y)

@@ -18,7 +18,7 @@ use super::report::RolloutReport;
 use super::sources::Sources;
 use crate::report::page::{self, Page, PageActor, PageEvent, PageStep};
 use crate::report::{ActorRow, Phase, StepRow, visibility};
-use crate::{Collision, EndReason, Metrics};
+use crate::{Collision, DrivingScores, EndReason, Metrics};
 
 /// Names and colors of the lines in the bird's-eye view.
 pub(super) const TRACES: [(&str, [u8; 4]); 3] = [
@@ -66,15 +66,16 @@ pub(super) struct MetricsFile<'a> {
     failure: Option<String>,
     #[serde(flatten)]
     metrics: &'a Metrics,
+    scores: &'a DrivingScores,
     steps_beyond_log: usize,
     notes: &'a std::collections::BTreeMap<String, usize>,
 }
 
 impl<'a> MetricsFile<'a> {
     pub(super) fn new(report: &'a RolloutReport) -> Self {
-        let RolloutReport { metrics, ended, notes, steps_beyond_log, .. } = report;
+        let RolloutReport { metrics, scores, ended, notes, steps_beyond_log, .. } = report;
         let failure = report.failure.as_ref().map(|error| with_causes(error));
-        Self { ended: *ended, failure, metrics, steps_beyond_log: *steps_beyond_log, notes }
+        Self { ended: *ended, failure, metrics, scores, steps_beyond_log: *steps_beyond_log, notes }
     }
 }
 
@@ -109,6 +110,7 @@ fn page(output: &Output<'_>, report: &RolloutReport) -> Page {
         fresh: newly_visible(row, report),
     };
     let mut table = serde_json::to_value(&report.metrics).map(|v| page::table(&v)).unwrap_or_default();
+    table.extend(serde_json::to_value(&report.scores).map(|v| page::table(&v)).unwrap_or_default());
     let notes = report.notes.iter().map(|(note, count)| [format!("note: {note}"), count.to_string()]);
     table.extend(notes);
     let color = |[r, g, b, _]: [u8; 4]| format!("#{r:02x}{g:02x}{b:02x}");

@@ -201,7 +201,7 @@ impl<'a> Rollout<'a> {
             shown_to_planner: matches!(record.simulation.ego, EgoPolicy::External(_)) && out.is_some(),
         };
         let mut report = steps.run(simulation, renderer, generation.as_mut(), rows, states, on_step)?;
-        report.close(facts, &record, inputs.scenario.log);
+        report.close(facts, &record, inputs.scenario);
         let clock = Instant::now();
         let finish = || -> Result<(), RolloutError> {
             if let Some((_, files)) = &out {

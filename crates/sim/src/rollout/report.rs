@@ -1,13 +1,12 @@
 use std::collections::BTreeMap;
 
-use point_skeleton::dataset::Recording;
 use point_skeleton::files::FileName;
 
 use super::error::RolloutError;
 use super::options::RolloutRecord;
 use super::profile::Profile;
 use crate::report::{StepRow, view};
-use crate::{EndReason, Metrics};
+use crate::{DrivingScores, EndReason, Metrics, Scenario};
 
 /// Result of a rollout.
 #[derive(Debug)]
@@ -16,6 +15,8 @@ pub struct RolloutReport {
     pub rows: Vec<StepRow>,
     /// Metrics of these steps.
     pub metrics: Metrics,
+    /// Scores of these steps.
+    pub scores: DrivingScores,
     /// Notes on the log, with counts.
     pub notes: BTreeMap<String, usize>,
     /// Reason for the end; `None` if a step failed.
@@ -42,6 +43,7 @@ impl RolloutReport {
         Self {
             rows,
             metrics,
+            scores: DrivingScores::default(),
             notes: BTreeMap::new(),
             ended: None,
             steps_beyond_log: 0,
@@ -59,8 +61,10 @@ impl RolloutReport {
         beyond_log(self.steps_beyond_log)
     }
 
-    /// Adds the facts of the web page that are known after the last step.
-    pub(super) fn close(&mut self, facts: Vec<String>, record: &RolloutRecord, log: &Recording) {
+    /// Computes the scores, and adds the facts of the web page that are known after the last step.
+    pub(super) fn close(&mut self, facts: Vec<String>, record: &RolloutRecord, scenario: &Scenario<'_>) {
+        let log = scenario.log;
+        self.scores = DrivingScores::of(scenario, &self.rows, &self.metrics);
         let options = &record.simulation;
         self.ended = self.ended.filter(|_| self.failure.is_none());
         let ended = match (&self.failure, self.ended) {

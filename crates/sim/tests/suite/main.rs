@@ -7,6 +7,7 @@ mod external;
 mod families;
 mod live;
 mod local_path;
+mod pdm;
 mod peer_ends;
 mod replay;
 mod resume;

@@ -40,6 +40,7 @@ pub(super) fn vector_map(
             .collect(),
         walkways: Vec::new(),
         dividers: middles().chain(roads().flat_map(lane_lines)).collect(),
+        network: None,
         notes: BTreeMap::new(),
     };
     let segment = |is_intersection| move |area| RoadSegment { area, is_intersection };

@@ -142,6 +142,7 @@ impl<'a> Resolver<'a> {
             crossings,
             stop_lines,
             dividers,
+            network: None,
             notes: self.notes.into_inner(),
         })
     }

@@ -200,6 +200,7 @@ impl Run<'_> {
             },
             clock: Some(clip.clock),
             ego: part.ego.kind(),
+            planner: None,
             actors: if part.ego == EgoPolicy::Replay { ActorPolicy::Replay } else { args.actors },
             least_warmup: true,
             ego_offset: None,

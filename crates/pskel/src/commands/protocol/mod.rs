@@ -1,5 +1,6 @@
 //! `pskel protocol`: [`clips`] generates and scores the clips of a protocol, [`ablation`] the same frames
-//! with variants of the generator. [`table`] joins results, [`export`] writes images for other programs.
+//! with variants of the generator, [`scenarios`] scores the driving. [`table`] joins results, [`export`]
+//! writes images for other programs.
 
 mod ablation;
 mod clip_args;
@@ -7,6 +8,7 @@ mod clips;
 mod copy;
 mod export;
 mod logs;
+mod scenarios;
 mod table;
 
 use clap::Subcommand;
@@ -16,6 +18,7 @@ use pskel_eval::protocol::Protocol;
 use self::ablation::AblationArgs;
 use self::clip_args::ClipProtocolArgs;
 use self::export::ExportImagesArgs;
+use self::scenarios::ScenarioArgs;
 use self::table::TableArgs;
 
 /// Evaluation protocols.
@@ -28,6 +31,7 @@ pub(crate) enum ProtocolCommand {
     #[command(about = Protocol::LaneChange.help())]
     LaneChange(Box<ClipProtocolArgs>),
     Ablation(Box<AblationArgs>),
+    Scenarios(Box<ScenarioArgs>),
     Table(TableArgs),
     Export(ExportImagesArgs),
 }
@@ -39,6 +43,7 @@ pub(crate) fn run(command: ProtocolCommand) -> anyhow::Result<()> {
         ProtocolCommand::NuscenesVal(args) => clips::run(Protocol::NuscenesVal, &args),
         ProtocolCommand::LaneChange(args) => clips::run(Protocol::LaneChange, &args),
         ProtocolCommand::Ablation(args) => ablation::run(&args),
+        ProtocolCommand::Scenarios(args) => scenarios::run(&args),
         ProtocolCommand::Table(args) => table::run(&args),
         ProtocolCommand::Export(args) => export::run(&args),
     }

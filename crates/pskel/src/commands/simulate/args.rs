@@ -128,6 +128,8 @@ pub(crate) struct ClipArgs {
     /// `None` for the frames of the log, at the default stride.
     pub(crate) clock: Option<ClipClock>,
     pub(crate) ego: EgoKind,
+    /// Planner of [`EgoKind::External`].
+    pub(crate) planner: Option<PlannerAddress>,
     pub(crate) actors: ActorPolicy,
     pub(crate) least_warmup: bool,
     pub(crate) ego_offset: Option<EgoOffset>,
@@ -163,7 +165,7 @@ impl SimulateArgs {
             #[cfg(feature = "mcap")]
             mcap: None,
             prompt: clip.prompt,
-            policies: PolicyArgs::of_clip(clip.ego, clip.actors, rates),
+            policies: PolicyArgs::of_clip((clip.ego, clip.planner), clip.actors, rates),
             generator: clip.generator,
             maps: clip.maps,
             actors: ActorArgs::of_scenario(clip.scenario),

@@ -54,14 +54,18 @@ pub(super) struct PolicyArgs {
 }
 
 impl PolicyArgs {
-    /// Creates the policies for a clip of a log.
+    /// Creates the policies for a clip of a log, with a planner for an external ego.
     #[cfg(feature = "network")]
-    pub(super) fn of_clip(ego: EgoKind, actors: ActorPolicy, rates: Option<Rates>) -> Self {
+    pub(super) fn of_clip(
+        (ego, planner): (EgoKind, Option<PlannerAddress>),
+        actors: ActorPolicy,
+        rates: Option<Rates>,
+    ) -> Self {
         Self {
             ego,
             trajectory: None,
             reanchor: false,
-            planner: None,
+            planner,
             planner_timeout: 10.0,
             tracking: Tracking::Perfect,
             actors,
