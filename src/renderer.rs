@@ -230,8 +230,8 @@ impl<'a> Renderer<'a> {
         Ok(Maps { state, set, options: conditions, distorted })
     }
 
-    /// Renders a LiDAR sweep. Its time stamp is that of the motion's state, in whose ego frame the points are.
-    /// Actors have the clouds of the geometry maps. Frames in flight are discarded.
+    /// Renders a LiDAR sweep. Its time stamp is that of the motion's state, in whose ego frame the points
+    /// are. Actors have the clouds of the geometry maps. Frames in flight are discarded.
     ///
     /// # Errors
     /// Fails if the spec is invalid, if the rasterizer fails, or if points cannot be read.

@@ -1,23 +1,30 @@
 //! Returns of rays from the visible points of a sector.
 //!
 //! # How it works
-//! Points have a footprint, by which near surfaces hide what is behind them: [`FOOTPRINT_M`]. Where it covers
-//! a block of pixels, the surface has a point in most blocks of that level. So levels are searched from coarse
-//! to fine, which is from near to far, each for surfaces whose points have its footprint. If none is met, all
-//! points are searched from fine to coarse, for surfaces with few points. The plane of a surface met at a
-//! coarse level is fitted again to the points of finer blocks. A ray does not begin at the center of the
-//! image, so the search is repeated where the ray passes at the range found.
+//! Points of dense surfaces have a footprint: [`FOOTPRINT_M`]. Where it covers a block of pixels, the surface
+//! has a point in most blocks of that level. So levels are searched from coarse to fine, which is from near to
+//! far, each for surfaces whose points have its footprint. If none is met, all points are searched from fine
+//! to coarse, for surfaces with few points. A surface with few points in front of the one that is met hides it
+//! ([`hiding`]). The plane of a surface met at a coarse level is fitted again to the points of finer blocks.
+//! A ray does not begin at the center of the image, so the search is repeated where the ray passes at the range
+//! found.
 
 use glam::DVec3;
 
 use super::image::{Hit, LEVELS, SectorImage};
 use super::surface::{Near, Plane, Reach, Surface, meet};
 
-/// Distance of neighboring points of a surface, meters: no less in most skeletons.
+/// Distance of neighboring points of a dense surface, meters: a bit more than the voxels of skeletons.
 const FOOTPRINT_M: f64 = 0.015;
 /// Blocks to each side of a ray that are searched.
 const WINDOW: usize = 2;
 const WINDOW_BLOCKS: usize = (2 * WINDOW + 1) * (2 * WINDOW + 1);
+/// Blocks of a window of the same size at the next finer level.
+const WIDE_BLOCKS: usize = (4 * WINDOW + 3) * (4 * WINDOW + 3);
+/// Blocks next to a ray.
+const INNER_BLOCKS: usize = 9;
+/// Coarser levels at which a surface of few points may hide another one.
+const HIDING_LEVELS: usize = 2;
 /// Range at which the search begins, meters.
 const FIRST_M: f64 = 15.0;
 /// Searches of a ray.
@@ -94,12 +101,35 @@ fn search(image: &SectorImage, tangents: [f64; 2]) -> Option<Surface> {
     for level in (0..LEVELS).rev().filter(|level| footprints(*level, image.focal).0 <= nearest) {
         let near = gather(image, level, tangents, dense(level), &mut buffer);
         if let Some(surface) = front(near, image, level, tangents) {
-            return Some(refined(image, level, tangents, surface));
+            let surface = refined(image, level, tangents, surface);
+            return Some(hiding(image, level, tangents, &surface).unwrap_or(surface));
         }
     }
     (0..LEVELS).find_map(|level| {
         let near = gather(image, level, tangents, |_| true, &mut buffer);
-        front(near, image, level, tangents)
+        let surface = front(near, image, level, tangents)?;
+        Some(hiding(image, level, tangents, &surface).unwrap_or(surface))
+    })
+}
+
+/// Returns the surface that hides one found at a level: a nearer one of few points, between which the ray
+/// passes. A surface of few points has as many blocks with points at a level as at the next finer one; a
+/// dense surface beside the ray, or with a hole, has more.
+fn hiding(image: &SectorImage, level: usize, tangents: [f64; 2], found: &Surface) -> Option<Surface> {
+    (level + 1..LEVELS.min(level + HIDING_LEVELS + 1)).find_map(|level| {
+        let mut inner = [Near::default(); INNER_BLOCKS];
+        let inner = gather(image, level, tangents, |_| true, &mut inner).iter();
+        let seeds = inner.filter(|point| found.is_behind(point));
+        let seed = seeds.max_by(|a, b| a.inverse_z.total_cmp(&b.inverse_z))?;
+        let (mut buffer, mut wide) = ([Near::default(); WINDOW_BLOCKS], [Near::default(); WIDE_BLOCKS]);
+        let near = gather(image, level, tangents, |_| true, &mut buffer);
+        let side = (1 << level) as f64 / image.focal;
+        let reach = Reach { side, touch: 0.0, gap: 1.6 * side };
+        let hiding = meet(near, seed, tangents, &reach)?;
+        let center = Near { inverse_z: hiding.plane.inverse_z, ..Near::default() };
+        let finer = gather(image, level - 1, tangents, |_| true, &mut wide);
+        let is_sparse = hiding.count(finer, tangents) * 2 < hiding.count(near, tangents) * 3;
+        (found.is_behind(&center) && is_sparse).then_some(hiding)
     })
 }
 
@@ -127,20 +157,21 @@ fn footprints(level: usize, focal: f64) -> (f64, f64) {
     (low, high)
 }
 
-/// Collects the hits of the blocks around a ray.
+/// Collects the hits of the blocks around a ray, a square that fills the buffer.
 fn gather<'b>(
     image: &SectorImage,
     level: usize,
     tangents: [f64; 2],
     wanted: impl Fn(&Hit) -> bool,
-    buffer: &'b mut [Near; WINDOW_BLOCKS],
+    buffer: &'b mut [Near],
 ) -> &'b [Near] {
+    let window = buffer.len().isqrt() as i64 / 2;
     let side = (1 << level) as f64;
-    let [column, row] = image.pixel(tangents).map(|at| (at / side).floor() as i64 - WINDOW as i64);
+    let [column, row] = image.pixel(tangents).map(|at| (at / side).floor() as i64 - window);
     let blocks = &image.levels[level];
     let mut count = 0;
-    for row in row..=row + 2 * WINDOW as i64 {
-        for column in column..=column + 2 * WINDOW as i64 {
+    for row in row..=row + 2 * window {
+        for column in column..=column + 2 * window {
             let (Ok(column), Ok(row)) = (usize::try_from(column), usize::try_from(row)) else { continue };
             let hit = blocks.hit(column, row);
             if hit.inverse_z > 0.0 && wanted(&hit) {
@@ -177,4 +208,86 @@ fn refined(image: &SectorImage, level: usize, tangents: [f64; 2], surface: Surfa
     let reach = Reach { side, touch: 0.6 / image.focal, gap: 1.6 * side };
     let is_same = |fine: &Surface| (fine.plane.inverse_z / expected - 1.0).abs() < 0.05;
     meet(near, &seed, tangents, &reach).filter(is_same).unwrap_or(surface)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use glam::DMat3;
+
+    const FOCAL: f64 = 700.0;
+    const SIDE: usize = 160;
+
+    /// Returns an image of points, meters in the frame of its camera.
+    fn image(points: impl IntoIterator<Item = (DVec3, u32)>) -> SectorImage {
+        let middle = SIDE as f64 / 2.0;
+        let rows = [[FOCAL, 0.0, middle], [0.0, FOCAL, middle], [0.0, 0.0, 1.0]];
+        let mut hits = vec![Hit::default(); SIDE * SIDE];
+        for (p, label) in points {
+            let at = [p.x / p.z, p.y / p.z];
+            let [column, row] = at.map(|tangent| (tangent * FOCAL + middle).floor());
+            if (0.0..SIDE as f64).contains(&column) && (0.0..SIDE as f64).contains(&row) {
+                let hit = &mut hits[row as usize * SIDE + column as usize];
+                let inverse_z = (1.0 / p.z) as f32;
+                if inverse_z > hit.inverse_z {
+                    *hit = Hit { at: at.map(|tangent| tangent as f32), inverse_z, label };
+                }
+            }
+        }
+        SectorImage::new(&DMat3::from_cols_array_2d(&rows).transpose(), [SIDE; 2], hits)
+    }
+
+    /// Points of a wall across the axis, every few meters, beginning at an offset.
+    fn wall(z: f64, step: f64, offset: f64, label: u32) -> impl Iterator<Item = (DVec3, u32)> {
+        let steps = move || (-60..=60).map(move |i| f64::from(i) * step + offset);
+        steps().flat_map(move |x| steps().map(move |y| (DVec3::new(x, y, z), label)))
+    }
+
+    /// Rays through the middle of the image, from an origin, toward points of the plane z = 10.
+    fn rays(origin: DVec3) -> impl Iterator<Item = (Ray, DVec3)> {
+        let steps = || (-9..=9).map(|i| f64::from(i) * 0.043);
+        let targets = steps().flat_map(move |x| steps().map(move |y| DVec3::new(x, y, 10.0)));
+        targets.map(move |to| (Ray { origin, direction: (to - origin).normalize() }, to))
+    }
+
+    #[test]
+    fn ranges_are_exact_from_beside_the_center() {
+        let image = image(wall(10.0, 0.02, 0.003, 5));
+        for (ray, to) in rays(DVec3::new(0.08, -0.02, 0.03)) {
+            let found = cast(&image, &ray).unwrap();
+            assert!((found.range_m - to.distance(ray.origin)).abs() < 1e-5 && found.label == 5, "{found:?}");
+        }
+    }
+
+    /// Every seventh pixel has a point of a wall, and another one 2 m behind it is seen between them. Few
+    /// rays pass, where there happen to be no points in front of a small group of points behind.
+    #[test]
+    fn walls_of_few_points_hide_what_is_behind() {
+        let sparse = || wall(10.0, 0.1, 0.02, 1);
+        let behind = wall(12.0, 0.1, 0.05, 2);
+        let image = image(sparse().chain(behind));
+        let found: Vec<Return> = rays(DVec3::ZERO).filter_map(|(ray, _)| cast(&image, &ray)).collect();
+        let pairs = rays(DVec3::ZERO).zip(&found);
+        let wrong = pairs.filter(|((_, to), found)| (found.range_m - to.length()).abs() > 0.05).count();
+        assert!(found.len() == 361 && wrong * 20 <= found.len(), "{wrong} of {}", found.len());
+    }
+
+    /// Two dense walls leave a slit of 0.3 m, 21 pixels, in front of another wall.
+    #[test]
+    fn rays_pass_through_holes_in_dense_surfaces() {
+        let dense = wall(10.0, 0.02, 0.0, 1).filter(|(at, _)| at.x.abs() >= 0.15);
+        let image = image(dense.chain(wall(14.0, 0.02, 0.0, 2)));
+        for (ray, to) in rays(DVec3::ZERO).filter(|(_, to)| (to.x.abs() - 0.15).abs() > 0.03) {
+            let label = if to.x.abs() < 0.15 { 2 } else { 1 };
+            assert_eq!(cast(&image, &ray).map(|found| found.label), Some(label), "{to}");
+        }
+    }
+
+    #[test]
+    fn rays_without_points_have_no_return() {
+        let image = image(wall(10.0, 0.02, 0.0, 1).filter(|(at, _)| at.x < 0.0));
+        for (ray, to) in rays(DVec3::ZERO).filter(|(_, to)| to.x.abs() > 0.03) {
+            assert_eq!(cast(&image, &ray).is_some(), to.x < 0.0, "{to}");
+        }
+    }
 }

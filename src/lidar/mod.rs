@@ -11,8 +11,8 @@
 //!
 //! # What was rejected
 //! Depth maps in place of point numbers: a pixel of the road 30 m ahead is half a meter long, so the depth of
-//! its point is not that of its middle. Splats larger than a pixel: they make objects larger, and hide what is
-//! beside them.
+//! its point is not that of its middle. Splats larger than a pixel: they make objects larger, and hide what
+//! is beside them.
 
 mod cast;
 mod error;

@@ -19,9 +19,9 @@ use crate::raster::{CloudSet, Instance};
 const PAGES: usize = 16_384;
 
 /// Points before and after a point in the order of a cloud that may be its neighbors.
-const NEIGHBORS: usize = 8;
+const NEIGHBORS: usize = 16;
 /// Distance of neighbors, meters.
-const NEAR_M: f32 = 0.08;
+const NEAR_M: f32 = 0.1;
 
 /// Points of clouds by their pages.
 pub(crate) struct PointPages<'a> {
@@ -130,8 +130,9 @@ impl<'a> PointPages<'a> {
         self.pages[self.page(instance.cloud, point)].as_deref()
     }
 
-    /// Returns the mean position of a point and of its neighbors, meters, and its class. The nearest of several
-    /// noisy points is nearer than their surface. Points are sorted in space, so neighbors are next to it.
+    /// Returns the mean position of a point and of its neighbors, meters, and its class. The nearest of
+    /// several noisy points is nearer than their surface. Points are sorted in space, so neighbors are next
+    /// to it.
     fn smoothed(&self, instance: &Instance, point: usize) -> Option<(Vec3, u8)> {
         let (page, at) = (self.page_of(instance, point)?, point % PAGE);
         let own = Vec3::from(page.get(at)?.position);
@@ -146,8 +147,8 @@ impl<'a> PointPages<'a> {
         Some((own + sum / count, page[at].class()))
     }
 
-    /// Returns the visible point of each pixel of a view, in the frame of its camera. `points` has the numbers
-    /// + 1 of the points, 0 where empty.
+    /// Returns the visible point of each pixel of a view, in the frame of its camera. `points` has the
+    /// numbers + 1 of the points, 0 where empty.
     pub(super) fn hits(
         &self,
         view: &View,

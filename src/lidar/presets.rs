@@ -1,6 +1,7 @@
 //! Presets: the beams of common devices.
 //!
-//! Elevations are nominal; a device's own calibration differs by hundredths of a degree. Sources are listed in
+//! Elevations are nominal; a device's own calibration differs by hundredths of a degree. Sources are listed
+//! in
 //! `docs/src/guide/lidar.md`.
 
 use std::path::Path;

@@ -28,6 +28,10 @@ const TOGETHER: usize = 4;
 /// Memory of a pixel's visible point at all levels, bytes.
 const PIXEL_BYTES: u64 = 22;
 
+/// Actors with at most this many points get the template of their category. Fewer than for maps: a ray needs
+/// no more than a point on either side.
+const MIN_ACTOR_POINTS: usize = 500;
+
 /// Consecutive sectors in which all clouds have the same poses.
 struct Job {
     sectors: Range<usize>,
@@ -120,10 +124,12 @@ fn render_device<'r>(
 
 /// Divides sectors into jobs of equal instances.
 fn jobs(scene: &Scene<'_, '_>, sectors: &[Sector], motion: &Motion<'_>) -> Vec<Job> {
+    let most = scene.selection.min_actor_points.min(MIN_ACTOR_POINTS);
+    let selection = SelectionOptions { min_actor_points: most, ..*scene.selection };
     let mut jobs: Vec<Job> = Vec::new();
     for (at, sector) in sectors.iter().enumerate() {
         let state = SceneState { actors: motion.actors(sector.after_s), ..motion.state().clone() };
-        let instances = scene.clouds.instances(&state, scene.selection).geometry;
+        let instances = scene.clouds.instances(&state, &selection).geometry;
         match jobs.last_mut() {
             Some(job) if job.views.len() < TOGETHER && job.instances == instances => {
                 job.sectors.end = at + 1;

@@ -15,8 +15,9 @@ const SECTOR_RAD: f64 = 0.525;
 /// What a sector's image shows beyond its rays, radians: neighbors of the outermost rays, which do not begin
 /// exactly at the image's center.
 const MARGIN_RAD: f64 = 0.035;
-/// Least and greatest angle of a pixel, radians.
-const PIXEL_RAD: [f64; 2] = [0.0012, 0.0016];
+/// Angle of a pixel in the middle of an image, radians. The nearest of many points in a larger pixel is
+/// nearer than their surface.
+const PIXEL_RAD: f64 = 0.0012;
 
 /// A sector of a device's sweep.
 #[derive(Clone, Debug)]
@@ -82,7 +83,7 @@ fn camera(device: &LidarDevice, half_rad: f64) -> Result<Camera, CameraError> {
     let ends = device.elevations_deg.iter().fold([FRAC_PI_2, -FRAC_PI_2], |[low, high], deg| {
         [low.min(deg.to_radians()), high.max(deg.to_radians())]
     });
-    let focal = 1.0 / pixel_rad(device);
+    let focal = 1.0 / PIXEL_RAD;
     // An elevation is farthest from the horizon at the image's edge, and nearest in its middle.
     let row = |elevation_rad: f64, outward: bool| {
         let elevation_rad = if outward { elevation_rad } else { -elevation_rad };
@@ -97,13 +98,44 @@ fn camera(device: &LidarDevice, half_rad: f64) -> Result<Camera, CameraError> {
     Camera::new("LIDAR", size.x as u32, size.y as u32, rows)
 }
 
-/// Returns the angle of a pixel: half the distance of columns or, if that is less, of most beams.
-fn pixel_rad(device: &LidarDevice) -> f64 {
-    let [first, end] = device.azimuth_deg;
-    let column_rad = (end - first).abs().to_radians() / device.columns as f64;
-    let mut steps: Vec<f64> =
-        device.elevations_deg.windows(2).map(|pair| (pair[1] - pair[0]).abs()).collect();
-    steps.sort_by(f64::total_cmp);
-    let beam_rad = steps.get(steps.len() / 2).map_or(column_rad, |deg| deg.to_radians());
-    (column_rad.min(beam_rad) / 2.0).clamp(PIXEL_RAD[0], PIXEL_RAD[1])
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::lidar::presets::Preset;
+    use crate::scene::SceneState;
+
+    /// Every ray, from where the device is at its time, passes through the image of its sector, at 3 m and
+    /// far away, with room for its neighbors.
+    #[test]
+    fn rays_are_within_their_sectors() {
+        let state = |t_us, x| SceneState {
+            name: "0".into(),
+            t_us,
+            global_from_ego: Pose::from_yaw(0.3, DVec3::new(x, 0.0, 0.0)),
+            cameras: Vec::new(),
+            actors: Vec::new(),
+            map: None,
+        };
+        let (now, before) = (state(100_000, 2.0), state(0, 0.0));
+        let motion = Motion::new(&now, Some(&before));
+        for device in Preset::ALL.into_iter().flat_map(|preset| preset.spec().devices) {
+            let sectors = Sector::all(&device, &motion).unwrap();
+            let columns: Vec<usize> = sectors.iter().flat_map(|sector| sector.columns.clone()).collect();
+            assert_eq!(columns, (0..device.columns).collect::<Vec<_>>());
+            for sector in &sectors {
+                let camera = &sector.view.camera;
+                let size = DVec2::new(f64::from(camera.width), f64::from(camera.height));
+                for column in [sector.columns.start, sector.columns.end - 1] {
+                    for ray in sector.rays(&device, &motion, column) {
+                        for range_m in [3.0, 100.0] {
+                            let at = camera.intrinsics * (ray.origin + ray.direction * range_m);
+                            let pixel = at.truncate() / at.z;
+                            let inside = pixel.min(size - pixel).min_element();
+                            assert!(at.z > 0.0 && inside > 2.0, "{} {pixel} {size}", device.name);
+                        }
+                    }
+                }
+            }
+        }
+    }
 }

@@ -288,8 +288,8 @@ mod tests {
             std::fs::write(&path, text).unwrap();
             LidarSpec::read(&path).map_err(|error| error.to_string())
         };
-        let text = r#"{"devices": [{"name": "top", "elevations_deg": [-30, 0], "columns": 4, "range_m": [1, 50],
-            "sweep_s": 0.1}]}"#;
+        let text = r#"{"devices": [{"name": "top", "elevations_deg": [-30, 0], "columns": 4,
+            "range_m": [1, 50], "sweep_s": 0.1}]}"#;
         assert_eq!(read(text), Ok(LidarSpec { devices: vec![device()], seed: 0 }));
         let spec = LidarSpec { devices: vec![device()], seed: 3 }.mounted_at(DVec3::new(1.0, 0.0, 2.0));
         assert_eq!(read(&serde_json::to_string(&spec).unwrap()), Ok(spec));

@@ -51,7 +51,7 @@ pub(crate) fn run(args: RenderArgs) -> anyhow::Result<()> {
     let states = SceneSequence::new(log, args.times(log)?, offset, views, map).map_err(usage)?;
     let states = states.hiding(args.actors.hidden()).map_err(usage)?;
     let (substitutes, substitute_report) = args.substitutes.options().make(&skeleton, &log.name)?;
-    let options = args.options(maps, substitute_report);
+    let options = args.options(maps, substitute_report, args.lidar.output(log)?);
     let mut renderer = Renderer::new(
         &skeleton,
         RenderOptions {
@@ -71,6 +71,7 @@ pub(crate) fn run(args: RenderArgs) -> anyhow::Result<()> {
         prompt: &prompt,
         fps: args.rate.hz.or_else(|| frame_rate_hz(&log.frames).filter(|_| args.at.is_empty())),
         birdseye: args.birdseye,
+        lidar: options.lidar.as_ref(),
         log: &log.name,
     };
     let mut progress = Progress::new(states.len());
