@@ -24,7 +24,7 @@ const WIDE_BLOCKS: usize = (4 * WINDOW + 3) * (4 * WINDOW + 3);
 /// Blocks next to a ray.
 const INNER_BLOCKS: usize = 9;
 /// Coarser levels at which a surface of few points may hide another one.
-const HIDING_LEVELS: usize = 2;
+const HIDING_LEVELS: usize = LEVELS - 1;
 /// Range at which the search begins, meters.
 const FIRST_M: f64 = 15.0;
 /// Searches of a ray.
