@@ -314,26 +314,3 @@ fn wrong_usage_exits_with_2_and_times_out_of_the_log_with_1() {
     std::fs::write(log.path("p.json"), r#"{"weather": 3}"#).unwrap();
     log.fail(&format!("{RENDER} --annotations p.json"), 1, &["\"weather\": text", "p.json"]);
 }
-
-/// Sweeps are beside the maps, and maps are the same as without.
-#[test]
-fn lidar_sweeps_are_written_beside_the_maps() {
-    let log = built();
-    log.succeed(&format!("{RENDER} --maps depth"));
-    let without = tree(&log.path("out"));
-    for (format, file) in [("bin", "lidar.pcd.bin"), ("pcd", "lidar.pcd"), ("npy", "lidar.npy")] {
-        log.succeed(&format!("{RENDER} --maps depth --lidar vlp-32c --lidar-format {format}"));
-        let with = tree(&log.path("out"));
-        for name in [file, "lidar.png", "lidar.json"] {
-            assert!(with.contains_key(&format!("000001/{name}")), "{name}");
-        }
-        assert_eq!(with["000001/meta.json"], without["000001/meta.json"]);
-        assert_eq!(log.json("out/index.json")["options"]["lidar_format"], format);
-    }
-    assert_failed(&log.run(&format!("{RENDER} --lidar hdl-99")), 2, &["hdl-32e", "hdl-99"]);
-    assert_failed(&log.run(&format!("{RENDER} --lidar-format pcd")), 2, &["--lidar"]);
-    assert_failed(&log.run(&format!("{RENDER} --lidar none.json")), 1, &["cannot read", "none.json"]);
-    std::fs::write(log.path("lidar.json"), r#"{"devices": []}"#).unwrap();
-    let expected = ["1 to 16 LiDAR devices, found 0", "lidar.json"];
-    assert_failed(&log.run(&format!("{RENDER} --lidar lidar.json")), 1, &expected);
-}
