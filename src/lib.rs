@@ -45,6 +45,7 @@ pub mod geometry;
 pub mod gpu;
 pub mod hash;
 pub mod idm;
+pub mod lidar;
 pub mod memory;
 pub mod named;
 pub mod pipeline;
@@ -86,6 +87,9 @@ pub enum Error {
     /// Error of a file.
     #[error("{0}")]
     File(#[from] error::FileError),
+    /// Error of a LiDAR sweep.
+    #[error("{0}")]
+    Lidar(#[from] lidar::LidarError),
     /// Invalid times of a sequence.
     #[error("{0}")]
     Sequence(#[from] scene::SequenceError),

@@ -6,6 +6,7 @@ use crate::Error;
 use crate::conditions::distort::{Distorter, PinholeStep};
 use crate::conditions::{ConditionError, ConditionOptions, StepInFlight, check_memory};
 use crate::geometry::View;
+use crate::lidar::{self, LidarSpec, LidarSweep, Motion, PointPages};
 use crate::maps::Maps;
 use crate::pipeline::Pipeline;
 use crate::raster::{self, MapKind, Rasterizer, RasterizerDesc};
@@ -74,6 +75,8 @@ pub struct Renderer<'a> {
     without_map: Option<MapOptions>,
     distorter: Option<Distorter>,
     in_flight: VecDeque<InFlight>,
+    /// Positions of points that LiDARs saw; created for the first sweep.
+    pages: Option<PointPages<'a>>,
 }
 
 struct InFlight {
@@ -109,7 +112,8 @@ impl<'a> Renderer<'a> {
         rasterizer: Box<dyn Rasterizer + 'a>,
         maps: MapOptions,
     ) -> Self {
-        Self { clouds, rasterizer, maps, without_map: None, distorter: None, in_flight: VecDeque::new() }
+        let (without_map, distorter, in_flight, pages) = Default::default();
+        Self { clouds, rasterizer, maps, without_map, distorter, in_flight, pages }
     }
 
     /// Checks that the maps of a state fit into the memory that is available. Rendering checks this too;
@@ -224,6 +228,18 @@ impl<'a> Renderer<'a> {
             None => set,
         };
         Ok(Maps { state, set, options: conditions, distorted })
+    }
+
+    /// Renders a LiDAR sweep. Its time stamp is that of the motion's state, in whose ego frame the points
+    /// are. Actors have the clouds of the geometry maps. Frames in flight are discarded.
+    ///
+    /// # Errors
+    /// Fails if the spec is invalid, if the rasterizer fails, or if points cannot be read.
+    pub fn lidar(&mut self, spec: &LidarSpec, motion: &Motion<'_>) -> Result<LidarSweep, Error> {
+        self.discard()?;
+        let pages = self.pages.get_or_insert_with(|| PointPages::new(self.clouds.cloud_set()));
+        let scene = lidar::Scene { clouds: &self.clouds, selection: &self.maps.selection, pages };
+        Ok(lidar::render(self.rasterizer.as_mut(), scene, spec, motion)?)
     }
 
     /// Returns the clouds of a state as instances of the rasterizer.

@@ -31,7 +31,7 @@ try:
     from ._export import ExportReport, export
     from ._renderer import Renderer
     from ._simulation import Simulation
-    from ._types import Maps
+    from ._types import LidarSweep, Maps
 except ModuleNotFoundError as error:
     if error.name != "pskel._pskel":
         raise
@@ -56,6 +56,7 @@ __all__ = [
     "Generator",
     "ImageGenerator",
     "ImageRequest",
+    "LidarSweep",
     "Log",
     "LogError",
     "Maps",

@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 from typing_extensions import disjoint_base
 
-from ._types import Maps
+from ._types import LidarSweep, Maps
 
 __version__: str
 
@@ -239,6 +239,9 @@ class Frames:
 class Renderer:
     def __new__(cls, skeleton: Skeleton, keywords: Mapping[str, Any]) -> Self: ...
     def render(self, scene: Scene) -> Maps: ...
+    def lidar(
+        self, scene: Scene, spec: str, *, other: Scene | None = None, position: Sequence[float] | None = None
+    ) -> LidarSweep: ...
     def render_all(self, scenes: Iterable[Scene]) -> Frames: ...
     @property
     def device(self) -> str: ...

@@ -32,6 +32,27 @@ Maps = TypedDict(
 """
 
 
+LidarSweep = TypedDict(
+    "LidarSweep",
+    {
+        "points": npt.NDArray[np.float32],
+        "intensity": npt.NDArray[np.float32],
+        "ring": npt.NDArray[np.uint16],
+        "device": npt.NDArray[np.uint8],
+        "class": npt.NDArray[np.uint8],
+        "instance": npt.NDArray[np.uint32],
+        "time": npt.NDArray[np.float32],
+        "range": list[npt.NDArray[np.float32]],
+    },
+)
+"""Returns of a LiDAR.
+
+``points`` ``[N, 3]`` in meters, in the ego frame at the time of the scene; ``intensity`` (0), ``ring``, ``device``, ``class``,
+``instance`` and ``time`` (seconds after the scene's) are ``[N]``. ``range`` has an array ``[beams, columns]`` per device, meters,
+0 without a return.
+"""
+
+
 class _MapKeywords(TypedDict, total=False):
     """Keyword arguments of every function that renders maps, besides augmentation."""
 

@@ -3,6 +3,7 @@
 use point_skeleton::conditions::ConditionError;
 use point_skeleton::error::with_causes;
 use point_skeleton::gpu::GpuError;
+use point_skeleton::lidar::LidarError;
 use point_skeleton::raster::RasterError;
 use pskel_sim::SimError;
 use pyo3::create_exception;
@@ -31,7 +32,7 @@ pub(crate) fn raise(error: impl Into<point_skeleton::Error>) -> PyErr {
         Core::Render(ConditionError::NoMap { .. }) => PyValueError::new_err(text),
         Core::Log(_) => LogError::new_err(text),
         Core::Build(_) | Core::File(_) => BuildError::new_err(text),
-        Core::Render(_) | Core::Raster(_) => RenderError::new_err(text),
+        Core::Render(_) | Core::Raster(_) | Core::Lidar(_) => RenderError::new_err(text),
         _ => Error::new_err(text),
     }
 }
@@ -39,7 +40,12 @@ pub(crate) fn raise(error: impl Into<point_skeleton::Error>) -> PyErr {
 /// Returns whether an error comes from a device in a forked process.
 fn is_forked(error: &point_skeleton::Error) -> bool {
     use point_skeleton::Error as Core;
-    let (Core::Raster(error) | Core::Render(ConditionError::Raster(error))) = error else { return false };
+    let (Core::Raster(error)
+    | Core::Render(ConditionError::Raster(error))
+    | Core::Lidar(LidarError::Raster(error))) = error
+    else {
+        return false;
+    };
     matches!(error, RasterError::Gpu(GpuError::Forked { .. }))
 }
 

@@ -1,6 +1,7 @@
 use std::ffi::CString;
 use std::sync::{Arc, Mutex, PoisonError};
 
+use point_skeleton::lidar::Motion;
 use point_skeleton::pipeline::Pipeline;
 use point_skeleton::scene::Substitutes;
 use point_skeleton::{Maps, RenderOptions};
@@ -11,7 +12,7 @@ use self_cell::self_cell;
 
 use crate::error::{FORKS, RenderError, raise};
 use crate::keywords::Keywords;
-use crate::maps::dictionary;
+use crate::maps::{dictionary, lidar};
 use crate::pool::detached;
 use crate::scene::Scene;
 use crate::skeleton::Skeleton;
@@ -106,6 +107,30 @@ impl Renderer {
             self.with(None, render)
         };
         arrays(py, &detached(py, call)?.0)
+    }
+
+    /// Renders a LiDAR sweep of a scene: a dictionary of arrays. `spec` is a preset or a JSON file, `other`
+    /// the scene at another time, through which ego and actors move while the LiDAR turns (nothing moves
+    /// without it), `position` (x, y, z) where devices without a mount are on the ego, meters. Points are in
+    /// the ego frame at the scene's time; intensity is 0. Raises `RenderError`, and `ValueError` for invalid
+    /// values.
+    #[pyo3(signature = (scene, spec, *, other=None, position=None))]
+    fn lidar<'py>(
+        &self,
+        py: Python<'py>,
+        scene: &Scene,
+        spec: &str,
+        other: Option<&Scene>,
+        position: Option<[f64; 3]>,
+    ) -> PyResult<Bound<'py, PyDict>> {
+        let spec = lidar::spec(spec, position)?;
+        let scene = scene.checked(&self.log)?;
+        let other = other.map(|other| other.checked(&self.log)).transpose()?;
+        let call = || {
+            let motion = Motion::new(&scene, other.as_deref());
+            self.with(None, |renderer| renderer.lidar(&spec, &motion).map_err(raise))
+        };
+        lidar::dictionary(py, &detached(py, call)?.0)
     }
 
     /// Renders the maps of scenes in order. The device renders a scene while Python uses the maps of the

@@ -126,6 +126,14 @@ impl<'a> SceneSequence<'a> {
         })
     }
 
+    /// Returns the state some seconds before a state of the sequence, or after it if that is outside the log,
+    /// with the same offset of the ego; `None` if both are outside. The times between are those of a sweep.
+    pub fn beside(&self, state: &SceneState, seconds: f64) -> Option<SceneState> {
+        let step_us = (seconds * 1e6).round() as i64;
+        let at = |t_us: i64| state_at(self.log, &self.ego, t_us, self.offset);
+        at(state.t_us.checked_sub(step_us)?).or_else(|| at(state.t_us.checked_add(step_us)?))
+    }
+
     /// Counts the frames without an image of a log's camera, by camera.
     pub fn missing_images(&self) -> BTreeMap<&str, usize> {
         let mut missing = BTreeMap::new();

@@ -1,6 +1,7 @@
 //! Condition maps as NumPy arrays over all cameras.
 
 pub(super) mod arrays;
+pub(super) mod lidar;
 pub(super) mod points;
 
 use numpy::{Element, PyArray1, PyArrayMethods};

@@ -280,6 +280,7 @@ mod tests {
             stop_lines: vec![area([[5.0, 1.0], [5.5, 1.0], [5.5, 4.0], [5.0, 4.0]])],
             walkways: Vec::new(),
             dividers: vec![vec![DVec2::ZERO, DVec2::new(80.0, 60.0)], vec![DVec2::X, DVec2::new(30.1, 7.7)]],
+            network: None,
             notes: BTreeMap::new(),
         }
     }

@@ -6,6 +6,7 @@ pub(crate) mod frames;
 pub(crate) mod generator;
 #[cfg(feature = "network")]
 pub(crate) mod images;
+pub(crate) mod lidar;
 pub(crate) mod log;
 pub(crate) mod maps;
 #[cfg(feature = "network")]

@@ -65,11 +65,13 @@ impl<'a> PdmScorer<'a> {
         self.recorded.ego_at(start_us + HORIZON_US)?;
         let ahead = || times(0..=HORIZON_US / FRAME_US);
         let red = |t_us: i64| red_ids(&self.recorded.lights_at(t_us));
+        let log = self.recorded.log;
+        let triggers = log.script.recorded(log, i64::MAX);
         Some(PdmScene {
             scorer: self,
             start_us,
             past,
-            frames: ahead().map(|t_us| self.recorded.actors_at(t_us)).collect(),
+            frames: ahead().map(|t_us| self.recorded.actors_at(t_us, &triggers)).collect(),
             red: ahead().map(red).collect(),
         })
     }

@@ -7,6 +7,7 @@ use point_skeleton::dataset::nuscenes::MapLayers;
 use point_skeleton::dataset::{Recording, Sweep, SweepRecord};
 use point_skeleton::geometry::Pose;
 use point_skeleton::hash;
+use rayon::prelude::*;
 
 use super::error::TownError;
 use super::meshes::{Meshes, limbs};
@@ -28,6 +29,17 @@ pub struct Town {
     meshes: OnceLock<Meshes>,
     scanner: OnceLock<Scanner>,
     pub(super) renderer: Mutex<Option<TownRenderer>>,
+}
+
+/// A ray through a town, in the global frame.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct TownRay {
+    /// Time, absolute microseconds.
+    pub t_us: i64,
+    /// Meters.
+    pub origin: DVec3,
+    /// Unit vector.
+    pub direction: DVec3,
 }
 
 /// Name of the location, for maps.
@@ -101,23 +113,43 @@ impl Town {
         self.meshes.get_or_init(|| Meshes::new(&self.plan, self.options.seed))
     }
 
-    pub(super) fn sweep<'a>(&'a self, record: &SweepRecord) -> Sweep {
-        let scanner = self.scanner.get_or_init(|| {
-            let meshes = self.meshes();
-            Scanner::new(&meshes.static_meshes, &meshes.bodies)
-        });
-        let end_s = seconds(record.t_us);
-        let mover = |actor: &'a Actor| {
-            let limbs = limbs(actor.body, &actor.motion, end_s);
-            Mover { body: actor.body, limbs, motion: &actor.motion }
+    /// Returns the exact range of each ray, meters: no noise, and no losses. `None` without a hit within 0.9
+    /// to 100 m. Actors move between the times of rays, with their limbs at `t_us`, absolute microseconds.
+    pub fn ranges_m(&self, t_us: i64, rays: &[TownRay]) -> Vec<Option<f64>> {
+        let (movers, town_from_global) = (self.movers(seconds(t_us)), self.global_from_town.inverse());
+        let scanner = self.scanner();
+        let range = |ray: &TownRay| {
+            let origin = town_from_global.transform_point(ray.origin);
+            scanner.range_m(&movers, seconds(ray.t_us), origin, town_from_global.rotation * ray.direction)
         };
-        let movers: Vec<Mover<'a>> = self.plan.traffic.actors.iter().map(mover).collect();
+        rays.par_iter().map(range).collect()
+    }
+
+    pub(super) fn sweep(&self, record: &SweepRecord) -> Sweep {
+        let end_s = seconds(record.t_us);
+        let movers = self.movers(end_s);
         let town_from_lidar = |t_s: f64| self.plan.traffic.ego.pose(t_s) * record.ego_from_lidar;
         let lidar = Lidar::new(self.options.beams, self.options.lidar_hz);
         let seed = Some(hash::hash(self.options.seed, &[record.t_us]));
-        let points = scanner.sweep(&Turn { lidar, end_s, town_from_lidar, movers: &movers, seed });
-        Sweep { points, ..Sweep::default() }
+        let turn = Turn { lidar, end_s, town_from_lidar, movers: &movers, seed };
+        Sweep { points: self.scanner().sweep(&turn), ..Sweep::default() }
     }
+
+    fn scanner(&self) -> &Scanner {
+        self.scanner.get_or_init(|| {
+            let meshes = self.meshes();
+            Scanner::new(&meshes.static_meshes, &meshes.bodies)
+        })
+    }
+
+    /// Returns all actors, with their limbs at a time in seconds.
+    fn movers(&self, t_s: f64) -> Vec<Mover<'_>> {
+        self.plan.traffic.actors.iter().map(|actor| mover(actor, t_s)).collect()
+    }
+}
+
+fn mover(actor: &Actor, t_s: f64) -> Mover<'_> {
+    Mover { body: actor.body, limbs: limbs(actor.body, &actor.motion, t_s), motion: &actor.motion }
 }
 
 /// Returns `global_from_town`: rotated by an angle of the seed, with all streets at positive coordinates away

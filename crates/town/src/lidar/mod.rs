@@ -104,6 +104,19 @@ impl Scanner {
         columns.flat_map_iter(|column| self.column(turn, column, &lidar_from_town)).collect()
     }
 
+    /// Returns the exact range of a ray in the town's frame at a time in seconds; `None` without a hit within
+    /// [`RANGE_M`].
+    pub(super) fn range_m(
+        &self,
+        movers: &[Mover<'_>],
+        t_s: f64,
+        origin: DVec3,
+        direction: DVec3,
+    ) -> Option<f64> {
+        let near = self.in_reach(movers, t_s, origin, direction);
+        self.meet(&near, origin, direction).map(|(hit, _)| hit.t).filter(|range_m| *range_m >= RANGE_M[0])
+    }
+
     fn column<F: Fn(f64) -> Pose>(
         &self,
         turn: &Turn<'_, F>,

@@ -6,11 +6,13 @@ use point_skeleton::conditions::{ConditionOptions, MapFormat, MapSet};
 use point_skeleton::dataset::{ActorEdits, Recording};
 use point_skeleton::files::Inputs;
 use point_skeleton::scene::{EgoOffset, LogTimes, SelectionOptions, SubstituteReport};
+use point_skeleton::sequence::LidarOutput;
 use serde::Serialize;
 
 use crate::WrongUsage;
 use crate::args::actors::ActorArgs;
 use crate::args::frames::{FrameArgs, MovedEgoArgs, RateArgs};
+use crate::args::lidar::LidarArgs;
 use crate::args::maps::MapArgs;
 use crate::args::outputs::FolderArgs;
 use crate::args::prompt::PromptArgs;
@@ -25,8 +27,8 @@ const OUT: &str = "Folder to write; frames of an earlier run in it are replaced 
 ///
 /// Writes FRAME/CAM/MAP.png or .exr, or FRAME/maps.npz or conditions.safetensors (arrays V,H,W(,3) named like
 /// the maps, points V,20,H,W and layout V,6,H,W of the tensor, cameras in the order of index.json);
-/// FRAME/meta.json with poses and intrinsics; FRAME/sheet.png, a contact sheet of all maps; finally
-/// index.json. FRAME is the six-digit frame number, or the time with --at and --hz.
+/// FRAME/meta.json with poses and intrinsics; FRAME/sheet.png, a contact sheet of all maps; with --lidar also
+/// FRAME/lidar.pcd.bin (or .pcd, .npy), lidar.png and lidar.json; finally index.json. FRAME is the six-digit frame number, or the time with --at and --hz.
 #[derive(Debug, Args)]
 #[command(mut_arg("out", |arg| arg.help(OUT)))]
 pub(crate) struct RenderArgs {
@@ -62,6 +64,8 @@ pub(crate) struct RenderArgs {
     #[command(flatten)]
     pub(super) maps: MapArgs,
     #[command(flatten)]
+    pub(super) lidar: LidarArgs,
+    #[command(flatten)]
     pub(super) actors: ActorArgs,
     #[command(flatten)]
     pub(super) substitutes: SubstituteArgs,
@@ -91,6 +95,8 @@ pub(super) struct RenderOptions {
     cameras: Option<PathBuf>,
     format: MapFormat,
     birdseye: bool,
+    #[serde(flatten)]
+    pub(super) lidar: Option<LidarOutput>,
 }
 
 impl RenderArgs {
@@ -107,7 +113,8 @@ impl RenderArgs {
     /// Returns everything that is read.
     pub(super) fn inputs(&self) -> Inputs {
         let files = [&self.cameras, &self.prompt.annotations].into_iter().flatten();
-        self.source.inputs().and(files).and(self.actors.file()).and(self.substitutes.inputs())
+        let inputs = self.source.inputs().and(files).and(self.actors.file());
+        inputs.and(self.substitutes.inputs()).and(self.lidar.inputs())
     }
 
     /// Returns the maps to render of a log with or without an HD map; `None` if the HD map is requested but
@@ -135,6 +142,7 @@ impl RenderArgs {
         log: &Recording,
         maps: MapSet,
         substitutes: SubstituteReport,
+        lidar: Option<LidarOutput>,
     ) -> RenderOptions {
         RenderOptions {
             conditions: self.maps.conditions(maps),
@@ -148,6 +156,7 @@ impl RenderArgs {
             cameras: self.cameras.clone(),
             format: self.maps.format,
             birdseye: self.birdseye,
+            lidar,
         }
     }
 }

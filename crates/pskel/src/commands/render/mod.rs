@@ -59,7 +59,7 @@ pub(crate) fn run(args: RenderArgs) -> anyhow::Result<()> {
     let states = states.hiding(args.actors.hidden()).map_err(usage)?;
     let (substitutes, substitute_report) =
         args.substitutes.options().for_log(log).make(&skeleton, &log.name)?;
-    let options = args.options(log, maps, substitute_report);
+    let options = args.options(log, maps, substitute_report, args.lidar.output(log)?);
     let mut renderer = Renderer::new(
         &skeleton,
         RenderOptions {
@@ -79,6 +79,7 @@ pub(crate) fn run(args: RenderArgs) -> anyhow::Result<()> {
         prompt: &prompt,
         fps: args.rate.hz.or_else(|| frame_rate_hz(&log.frames).filter(|_| args.at.is_empty())),
         birdseye: args.birdseye,
+        lidar: options.lidar.as_ref(),
         log: &log.name,
     };
     let mut progress = Progress::new(states.len());

@@ -1,0 +1,68 @@
+//! LiDAR sweeps beside the maps.
+
+use std::path::Path;
+
+use clap::Args;
+use glam::DVec3;
+use point_skeleton::dataset::Recording;
+use point_skeleton::error::FileError;
+use point_skeleton::lidar::{LidarFormat, LidarSpec};
+use point_skeleton::sequence::LidarOutput;
+
+use super::names::names;
+
+/// Options of LiDAR sweeps.
+#[derive(Clone, Debug, Args)]
+#[command(next_help_heading = "LiDAR")]
+pub(crate) struct LidarArgs {
+    /// Also write LiDAR sweeps: hdl-32e, vlp-32c, pandar64, pandar128, av2, nuplan, or a JSON file of devices
+    /// (name.json). Points are in the ego frame at the frame's time; intensity is 0, since skeletons do not
+    /// keep it
+    #[arg(long, value_name = "SPEC", value_parser = spec)]
+    lidar: Option<String>,
+    /// Points of a sweep: lidar.pcd.bin as nuScenes, or lidar.pcd or lidar.npy, also with device, class,
+    /// actor and time
+    #[arg(long, value_parser = names::<LidarFormat>(), default_value = "bin", requires = "lidar")]
+    lidar_format: LidarFormat,
+}
+
+/// Checks the name of a preset; files are read later.
+fn spec(text: &str) -> Result<String, String> {
+    if !is_file(text) {
+        LidarSpec::named(text).map_err(|error| error.to_string())?;
+    }
+    Ok(text.to_owned())
+}
+
+fn is_file(text: &str) -> bool {
+    Path::new(text).extension().is_some_and(|ending| ending.eq_ignore_ascii_case("json"))
+}
+
+impl LidarArgs {
+    /// Returns the file that is read.
+    pub(crate) fn inputs(&self) -> impl Iterator<Item = &Path> {
+        self.lidar.as_deref().filter(|text| is_file(text)).map(Path::new).into_iter()
+    }
+
+    /// Returns the sweeps to write; `None` for maps alone. Devices without a mount are where the log's LiDAR
+    /// is.
+    ///
+    /// # Errors
+    /// Fails if a file is invalid, or if a device has no mount and the log no sweeps.
+    pub(crate) fn output(&self, log: &Recording) -> Result<Option<LidarOutput>, FileError> {
+        let Some(text) = &self.lidar else { return Ok(None) };
+        let spec = LidarSpec::named(text)?;
+        let recorded = log.frames.iter().flat_map(|frame| &frame.sweeps).next();
+        let at: Option<DVec3> = recorded.map(|sweep| sweep.ego_from_lidar.translation);
+        let is_mounted = spec.devices.iter().all(|device| device.ego_from_lidar.is_some());
+        let spec = match at {
+            Some(at) => spec.mounted_at(at),
+            None if is_mounted => spec,
+            None => {
+                let expected = "ego_from_lidar of each device, or a log with sweeps";
+                return Err(FileError::content(expected, "neither", Path::new(text)));
+            }
+        };
+        Ok(Some(LidarOutput { spec, format: self.lidar_format }))
+    }
+}

@@ -1,0 +1,94 @@
+//! Motion of a scene while a LiDAR scans it.
+
+use crate::geometry::{Cuboid, Pose};
+use crate::scene::{ActorState, SceneState};
+
+/// Motion of ego and actors through two states: poses are interpolated between them and extrapolated beyond.
+#[derive(Clone, Copy, Debug)]
+pub struct Motion<'a> {
+    state: &'a SceneState,
+    /// Another state, and its time after the first, seconds; `None` if nothing moves.
+    other: Option<(&'a SceneState, f64)>,
+}
+
+impl<'a> Motion<'a> {
+    /// Creates the motion through a state and another one, before or after it. Nothing moves without another
+    /// one, or if both have the same time.
+    pub fn new(state: &'a SceneState, other: Option<&'a SceneState>) -> Self {
+        let with_time = |other: &'a SceneState| (other, (other.t_us - state.t_us) as f64 * 1e-6);
+        Self { state, other: other.map(with_time).filter(|(_, after_s)| *after_s != 0.0) }
+    }
+
+    /// Returns the state whose time is that of the sweep.
+    pub fn state(&self) -> &'a SceneState {
+        self.state
+    }
+
+    /// Returns `global_from_ego` at a time after the state's, seconds.
+    pub fn ego(&self, after_s: f64) -> Pose {
+        let pose = self.state.global_from_ego;
+        self.other.map_or(pose, |(other, at_s)| pose.interpolate(&other.global_from_ego, after_s / at_s))
+    }
+
+    /// Returns the actors at a time after the state's, seconds, in the state's order. Those that the other
+    /// state lacks stay where they are.
+    pub fn actors(&self, after_s: f64) -> Vec<ActorState> {
+        let mut actors = self.state.actors.clone();
+        let Some((other, at_s)) = self.other else { return actors };
+        for actor in &mut actors {
+            if let Ok(at) = other.actors.binary_search_by(|there| there.track.cmp(&actor.track)) {
+                let pose = actor.cuboid.pose.interpolate(&other.actors[at].cuboid.pose, after_s / at_s);
+                actor.cuboid = Cuboid { pose, ..actor.cuboid };
+            }
+        }
+        actors
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::dataset::Class;
+    use glam::DVec3;
+
+    fn state(t_us: i64, ego_m: f64, actors: &[(&str, f64)]) -> SceneState {
+        let pose = |x: f64| Pose::from_yaw(0.0, DVec3::new(x, 0.0, 0.0));
+        let actor = |(track, x): &(&str, f64)| ActorState {
+            track: (*track).to_owned(),
+            category: "vehicle.car".into(),
+            class: Class::from_category("vehicle.car"),
+            cuboid: Cuboid::new(pose(*x), DVec3::ONE).unwrap(),
+            appearance: None,
+        };
+        SceneState {
+            name: "0".into(),
+            t_us,
+            global_from_ego: pose(ego_m),
+            cameras: Vec::new(),
+            actors: actors.iter().map(actor).collect(),
+            map: None,
+        }
+    }
+
+    #[test]
+    fn poses_between_and_beyond_two_states_are_linear() {
+        let (now, before) =
+            (state(1_100_000, 10.0, &[("a", 5.0), ("b", 7.0)]), state(1_000_000, 8.0, &[("b", 6.0)]));
+        let motion = Motion::new(&now, Some(&before));
+        let x = |after_s: f64| {
+            let actors = motion.actors(after_s);
+            [motion.ego(after_s), actors[0].cuboid.pose, actors[1].cuboid.pose].map(|pose| pose.translation.x)
+        };
+        for (after_s, expected) in [
+            (0.0, [10.0, 5.0, 7.0]),
+            (-0.05, [9.0, 5.0, 6.5]),
+            (-0.1, [8.0, 5.0, 6.0]),
+            (0.05, [11.0, 5.0, 7.5]),
+        ] {
+            let found = x(after_s);
+            assert!(found.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-9), "{found:?}");
+        }
+        let still = Motion::new(&now, None);
+        assert_eq!((still.ego(-0.05), still.actors(1.0)), (now.global_from_ego, now.actors.clone()));
+    }
+}
