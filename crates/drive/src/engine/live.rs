@@ -75,7 +75,8 @@ pub(super) struct Live<'a> {
 }
 
 impl Beginning {
-    /// Returns the beginning of a message; the time is the one that is shown, or the end of the log after it, if none is given.
+    /// Returns the beginning of a message. Without a time it is the one that is shown, or the end of the log
+    /// if that is earlier.
     ///
     /// # Errors
     /// Returns what was expected and what was found.

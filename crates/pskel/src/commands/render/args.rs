@@ -28,7 +28,8 @@ const OUT: &str = "Folder to write; frames of an earlier run in it are replaced 
 /// Writes FRAME/CAM/MAP.png or .exr, or FRAME/maps.npz or conditions.safetensors (arrays V,H,W(,3) named like
 /// the maps, points V,20,H,W and layout V,6,H,W of the tensor, cameras in the order of index.json);
 /// FRAME/meta.json with poses and intrinsics; FRAME/sheet.png, a contact sheet of all maps; with --lidar also
-/// FRAME/lidar.pcd.bin (or .pcd, .npy), lidar.png and lidar.json; finally index.json. FRAME is the six-digit frame number, or the time with --at and --hz.
+/// FRAME/lidar.pcd.bin (or .pcd, .npy), lidar.png and lidar.json; finally index.json. FRAME is the
+/// six-digit frame number, or the time with --at and --hz.
 #[derive(Debug, Args)]
 #[command(mut_arg("out", |arg| arg.help(OUT)))]
 pub(crate) struct RenderArgs {
