@@ -50,7 +50,7 @@ pub fn share_interval(values: &[bool]) -> Option<Interval> {
 }
 
 /// Computes a mean by the percentile bootstrap with a fixed seed; `None` of no values. Values are resampled
-/// independently, [`RESAMPLES`] times.
+/// independently, `RESAMPLES` times.
 pub fn score_interval(values: &[f64]) -> Option<Interval> {
     let count = values.len();
     if count == 0 {
