@@ -2,12 +2,11 @@
 //!
 //! # How it works
 //! Points of dense surfaces have a footprint: [`FOOTPRINT_M`]. Where it covers a block of pixels, the surface
-//! has a point in most blocks of that level. So levels are searched from coarse to fine, which is from near to
-//! far, each for surfaces whose points have its footprint. If none is met, all points are searched from fine
-//! to coarse, for surfaces with few points. A surface with few points in front of the one that is met hides it
-//! ([`hiding`]). The plane of a surface met at a coarse level is fitted again to the points of finer blocks.
-//! A ray does not begin at the center of the image, so the search is repeated where the ray passes at the range
-//! found.
+//! has a point in most blocks of that level. So levels are searched from coarse to fine (near to far), each for
+//! surfaces whose points have its footprint. If none is met, all points are searched from fine to coarse, for
+//! surfaces with few points. A surface with few points in front of the one that is met hides it ([`hiding`]).
+//! The plane of a surface met at a coarse level is fitted again to the points of finer blocks. A ray does not
+//! begin at the center of the image, so the search is repeated where the ray passes at the range found.
 
 use glam::DVec3;
 

@@ -96,7 +96,8 @@ fn removed_moved_and_shifted_actors() {
     let log = changed(json!([
         {"track": "b", "action": {"shift": {"forward_m": 1.0, "left_m": 2.0}}},
         {"track": "b", "action": "remove", "start": {"after_s": 0.4}, "end": {"after_s": 0.6}},
-        {"track": "c", "action": {"move": {"in": "global", "x_m": 1.0, "y_m": 2.0}}, "start": {"after_s": 0.9}},
+        {"track": "c", "action": {"move": {"in": "global", "x_m": 1.0, "y_m": 2.0}},
+         "start": {"after_s": 0.9}},
     ]));
     // Forward is +y for the car that drives to the left.
     let moved = |i: usize| Some([18.0, 0.5 * i as f64 + 1.0]).filter(|_| !(4..6).contains(&i));
@@ -136,7 +137,8 @@ fn conditions_are_met_by_the_recorded_ego() {
     // The ego is within 12 m of (20, y) from x = 9.1 on: at frame 10; within 4 m of (9, 0) from x = 5.
     let near = json!({"ego_within": {"distance_m": 4.0, "point_m": [9.0, 0.0]}});
     let log = changed(json!([
-        {"track": "b", "action": "remove", "start": near, "end": {"ego_within": {"distance_m": 11.5, "track": "b"}}},
+        {"track": "b", "action": "remove", "start": near,
+         "end": {"ego_within": {"distance_m": 11.5, "track": "b"}}},
         {"track": "c", "action": "remove", "start": {"ego_within": {"distance_m": 5.5}}},
     ]));
     let there = |id: &str| places(&log, id).iter().map(Option::is_some).collect::<Vec<_>>();
@@ -196,7 +198,8 @@ fn impossible_changes_are_refused() {
             "expected a path of two or more points",
         ),
         (
-            json!({"track": "c", "action": path(json!([point(0.0, 1.0), point(1.0, 1.0)])), "start": {"after_s": 0.9}}),
+            json!({"track": "c", "action": path(json!([point(0.0, 1.0), point(1.0, 1.0)])),
+                   "start": {"after_s": 0.9}}),
             "expected an actor with a box at the start",
         ),
         (

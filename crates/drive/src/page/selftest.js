@@ -408,13 +408,17 @@ export async function show(name) {
   }
   if (name === "generated") {
     choose("maps", "generated");
-    await until(() => state.frame.generated && !state.frame.generated.is_reference, "generated images", 60000);
+    await until(() => document.querySelector(`[data-camera="${CSS.escape(cameras[0].name)}"] .origin`).textContent.startsWith("generated"), "generated images", 60000);
   } else {
     choose("maps", "color");
   }
   if (state.frame.playing) byId("play").click();
   await until(() => !state.frame.playing, "a pause");
-  if (name === "look" || name === "picked") setSlider(byId("slider"), (frames[frames.length >> 1] ?? frames[0]) - frames[0]);
+  if (name === "look" || name === "picked") {
+    const middle_us = frames[frames.length >> 1];
+    setSlider(byId("slider"), middle_us - frames[0]);
+    await until(() => Math.abs(state.frame.t_us - middle_us) <= 1000, "the middle of the log");
+  }
   if (name === "picked") {
     await until(() => state.frame.actors?.length, "an actor");
     const shape = byId("birdseye-actors").querySelector(`[data-track="${CSS.escape(state.frame.actors[0].track)}"]`);

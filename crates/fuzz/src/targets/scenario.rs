@@ -41,7 +41,8 @@ fn base() -> Value {
             {"track": "new", "action": {"insert": insert}, "start": {"after_s": 0.3}},
             {"track": "new", "action": {"path": path}, "start": near, "end": {"after_s": 1.5}},
             {"track": "new", "action": "idm", "start": {"after_s": 1.0}},
-            {"track": "car", "action": {"shift": {"left_m": 1.0}}, "end": {"t_us": 1_600_000_000_900_000_i64}},
+            {"track": "car", "action": {"shift": {"left_m": 1.0}},
+             "end": {"t_us": 1_600_000_000_900_000_i64}},
             {"track": "car", "action": {"move": {"in": "global", "x_m": 1010.0, "y_m": 500.0}},
                 "start": {"ego_within": {"distance_m": 5.0, "point_m": [1002.0, 500.0]}}},
             {"track": "cone", "action": "remove", "start": {"after_s": 0.8}}

@@ -107,8 +107,8 @@ impl<'a> Roads<'a> {
         Some(Route { centerline: Path::through(lines)?, lanes, limit_mps: self.limits_mps[start] })
     }
 
-    /// Returns the route along the recorded path, on all lanes below it. It continues straight beyond its end:
-    /// PDM-Closed stops at the end of its path.
+    /// Returns the route along the recorded path, on all lanes below it. It continues straight beyond its
+    /// end, since PDM-Closed stops at the end of its path.
     fn driven(&self, recorded: &Recorded<'_>) -> Option<Route> {
         let line = recorded.route.line()?;
         let lanes = line.resampled(LANE_STEP_M).into_iter().flat_map(|place| self.lane_areas.around(place));
