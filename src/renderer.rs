@@ -6,7 +6,7 @@ use crate::Error;
 use crate::conditions::distort::{Distorter, PinholeStep};
 use crate::conditions::{ConditionError, ConditionOptions, StepInFlight, check_memory};
 use crate::geometry::View;
-use crate::lidar::{self, LidarSpec, LidarSweep, Motion, PointPages};
+use crate::lidar::{self, LidarHit, LidarRays, LidarSpec, LidarSweep, Motion, Solids};
 use crate::maps::Maps;
 use crate::pipeline::Pipeline;
 use crate::raster::{self, MapKind, Rasterizer, RasterizerDesc};
@@ -75,8 +75,8 @@ pub struct Renderer<'a> {
     without_map: Option<MapOptions>,
     distorter: Option<Distorter>,
     in_flight: VecDeque<InFlight>,
-    /// Positions of points that LiDARs saw; created for the first sweep.
-    pages: Option<PointPages<'a>>,
+    /// Surfaces that LiDARs reached; created for the first sweep.
+    solids: Option<Solids<'a>>,
 }
 
 struct InFlight {
@@ -112,8 +112,8 @@ impl<'a> Renderer<'a> {
         rasterizer: Box<dyn Rasterizer + 'a>,
         maps: MapOptions,
     ) -> Self {
-        let (without_map, distorter, in_flight, pages) = Default::default();
-        Self { clouds, rasterizer, maps, without_map, distorter, in_flight, pages }
+        let (without_map, distorter, in_flight, solids) = Default::default();
+        Self { clouds, rasterizer, maps, without_map, distorter, in_flight, solids }
     }
 
     /// Checks that the maps of a state fit into the memory that is available. Rendering checks this too;
@@ -231,15 +231,30 @@ impl<'a> Renderer<'a> {
     }
 
     /// Renders a LiDAR sweep. Its time stamp is that of the motion's state, in whose ego frame the points
-    /// are. Actors have the clouds of the geometry maps. Frames in flight are discarded.
+    /// are. Actors have the clouds of the geometry maps, with fewer templates. Frames in flight stay.
     ///
     /// # Errors
-    /// Fails if the spec is invalid, if the rasterizer fails, or if points cannot be read.
+    /// Fails if the spec is invalid, if points cannot be read, or if there is too little memory.
     pub fn lidar(&mut self, spec: &LidarSpec, motion: &Motion<'_>) -> Result<LidarSweep, Error> {
-        self.discard()?;
-        let pages = self.pages.get_or_insert_with(|| PointPages::new(self.clouds.cloud_set()));
-        let scene = lidar::Scene { clouds: &self.clouds, selection: &self.maps.selection, pages };
-        Ok(lidar::render(self.rasterizer.as_mut(), scene, spec, motion)?)
+        Ok(lidar::render(self.solid_scene(), spec, motion)?)
+    }
+
+    /// Returns what each ray of a moving scene meets up to a range in meters, in their order.
+    ///
+    /// # Errors
+    /// Fails if points cannot be read, or if there is too little memory.
+    pub fn cast(
+        &mut self,
+        rays: &[LidarRays],
+        motion: &Motion<'_>,
+        far_m: f64,
+    ) -> Result<Vec<Vec<Option<LidarHit>>>, Error> {
+        Ok(self.solid_scene().cast(rays, motion, far_m)?)
+    }
+
+    fn solid_scene(&mut self) -> lidar::Scene<'_, 'a> {
+        let solids = self.solids.get_or_insert_with(|| Solids::new(self.clouds.cloud_set()));
+        lidar::Scene { clouds: &self.clouds, selection: &self.maps.selection, solids }
     }
 
     /// Returns the clouds of a state as instances of the rasterizer.

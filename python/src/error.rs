@@ -3,7 +3,6 @@
 use point_skeleton::conditions::ConditionError;
 use point_skeleton::error::with_causes;
 use point_skeleton::gpu::GpuError;
-use point_skeleton::lidar::LidarError;
 use point_skeleton::raster::RasterError;
 use pskel_sim::SimError;
 use pyo3::create_exception;
@@ -40,12 +39,7 @@ pub(crate) fn raise(error: impl Into<point_skeleton::Error>) -> PyErr {
 /// Returns whether an error comes from a device in a forked process.
 fn is_forked(error: &point_skeleton::Error) -> bool {
     use point_skeleton::Error as Core;
-    let (Core::Raster(error)
-    | Core::Render(ConditionError::Raster(error))
-    | Core::Lidar(LidarError::Raster(error))) = error
-    else {
-        return false;
-    };
+    let (Core::Raster(error) | Core::Render(ConditionError::Raster(error))) = error else { return false };
     matches!(error, RasterError::Gpu(GpuError::Forked { .. }))
 }
 

@@ -1,5 +1,4 @@
-use crate::geometry::CameraError;
-use crate::raster::{RasterError, ScheduleError};
+use super::solids::SolidError;
 
 /// Reason why a sweep could not be rendered.
 #[derive(Debug, thiserror::Error)]
@@ -12,13 +11,7 @@ pub enum LidarError {
         /// The value.
         found: String,
     },
-    /// Error of the rasterizer.
+    /// Surfaces could not be made of points.
     #[error("{0}")]
-    Raster(#[from] RasterError),
-    /// The device's angles do not fit into an image.
-    #[error("LiDAR sector: {0}")]
-    Camera(#[from] CameraError),
-    /// The device's range is beyond the rasterizer's.
-    #[error("LiDAR range: {0}")]
-    Range(#[from] ScheduleError),
+    Solid(#[from] SolidError),
 }

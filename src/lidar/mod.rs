@@ -1,37 +1,40 @@
 //! LiDAR sweeps from a skeleton: ranges along the beams of a device at any pose and time.
 //!
 //! # How it works
-//! A [`LidarSpec`] describes the devices: a preset, or a JSON file. A sweep is divided into sectors
-//! (`sectors`), which the rasterizer renders as pinhole images of point numbers, one pixel per point, from
-//! where the device is in the middle of the sector, with the actors where they are then (`motion`). The host
-//! looks up the positions of the visible points (`points`, `image`) and casts each ray, from where the device
-//! is at the time of its column, against planes through the points around it (`cast`, `surface`). Maps of
-//! point numbers are equal on all rasterizers, and rays do not depend on each other, so sweeps are the same
-//! bytes everywhere.
+//! Points have gaps that rays would pass through. So each cloud is divided into pieces of planes ([`split`]):
+//! as large as the points are on a plane, and as fine as they are dense. A piece has a mask of where its
+//! points are, whose gaps are closed ([`mask`]). The pieces of a cloud are in a tree ([`solid`]). A
+//! [`LidarSpec`] describes the devices: a preset, or a JSON file. The rays of a column fire at once, from
+//! where the device is at that time, at the actors where they are then ([`motion`], [`cast`]). All of this is
+//! on the host, so sweeps are the same bytes with any rasterizer and any number of threads.
 //!
 //! # What was rejected
-//! Depth maps in place of point numbers: a pixel of the road 30 m ahead is half a meter long, so the depth of
-//! its point is not that of its middle. Splats larger than a pixel: they make objects larger, and hide what
-//! is beside them.
+//! Images of point numbers by the rasterizers, and planes through the visible points around each ray: rays
+//! passed between the points of near cars, and fitting planes for each ray took several times as long. Depth maps:
+//! a pixel of the road 30 m ahead is half a meter long. Splats of the size of the gaps: objects grow.
 
 mod cast;
 mod error;
-mod image;
+mod mask;
 mod motion;
-mod points;
+mod patch;
+mod plane;
 mod presets;
 mod render;
-mod sectors;
+mod solid;
+mod solids;
 mod spec;
-mod surface;
+mod split;
 mod sweep;
 mod write;
 
+pub use cast::{LidarHit, LidarRays};
 pub use error::LidarError;
 pub use motion::Motion;
-pub(crate) use points::PointPages;
 pub use presets::Preset;
 pub(crate) use render::{Scene, render};
+pub use solids::SolidError;
+pub(crate) use solids::Solids;
 pub use spec::{LidarDevice, LidarSpec, MAX_ELEVATION_DEG, MAX_RAYS, Mount};
 pub use sweep::{LidarReturn, LidarSweep, RangeImage};
 pub use write::LidarFormat;

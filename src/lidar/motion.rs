@@ -1,6 +1,6 @@
 //! Motion of a scene while a LiDAR scans it.
 
-use crate::geometry::{Cuboid, Pose};
+use crate::geometry::Pose;
 use crate::scene::{ActorState, SceneState};
 
 /// Motion of ego and actors through two states: poses are interpolated between them and extrapolated beyond.
@@ -30,18 +30,32 @@ impl<'a> Motion<'a> {
         self.other.map_or(pose, |(other, at_s)| pose.interpolate(&other.global_from_ego, after_s / at_s))
     }
 
-    /// Returns the actors at a time after the state's, seconds, in the state's order. Those that the other
-    /// state lacks stay where they are.
-    pub fn actors(&self, after_s: f64) -> Vec<ActorState> {
-        let mut actors = self.state.actors.clone();
-        let Some((other, at_s)) = self.other else { return actors };
-        for actor in &mut actors {
-            if let Ok(at) = other.actors.binary_search_by(|there| there.track.cmp(&actor.track)) {
-                let pose = actor.cuboid.pose.interpolate(&other.actors[at].cuboid.pose, after_s / at_s);
-                actor.cuboid = Cuboid { pose, ..actor.cuboid };
-            }
-        }
-        actors
+    /// Returns the paths of the actors, in the state's order. Those that the other state lacks stay where they
+    /// are.
+    pub(crate) fn paths(&self) -> Vec<ActorPath> {
+        let path = |actor: &ActorState| {
+            let other = self.other.and_then(|(other, at_s)| {
+                let at = other.actors.binary_search_by(|there| there.track.cmp(&actor.track)).ok()?;
+                Some((other.actors[at].cuboid.pose, at_s))
+            });
+            ActorPath { pose: actor.cuboid.pose, other }
+        };
+        self.state.actors.iter().map(path).collect()
+    }
+}
+
+/// Motion of an actor.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct ActorPath {
+    pose: Pose,
+    /// Another pose, and its time after the first, seconds.
+    other: Option<(Pose, f64)>,
+}
+
+impl ActorPath {
+    /// Returns `global_from_actor` at a time after the state's, seconds.
+    pub(crate) fn at(&self, after_s: f64) -> Pose {
+        self.other.map_or(self.pose, |(other, at_s)| self.pose.interpolate(&other, after_s / at_s))
     }
 }
 
@@ -49,6 +63,7 @@ impl<'a> Motion<'a> {
 mod tests {
     use super::*;
     use crate::dataset::Class;
+    use crate::geometry::Cuboid;
     use glam::DVec3;
 
     fn state(t_us: i64, ego_m: f64, actors: &[(&str, f64)]) -> SceneState {
@@ -76,8 +91,8 @@ mod tests {
             (state(1_100_000, 10.0, &[("a", 5.0), ("b", 7.0)]), state(1_000_000, 8.0, &[("b", 6.0)]));
         let motion = Motion::new(&now, Some(&before));
         let x = |after_s: f64| {
-            let actors = motion.actors(after_s);
-            [motion.ego(after_s), actors[0].cuboid.pose, actors[1].cuboid.pose].map(|pose| pose.translation.x)
+            let paths = motion.paths();
+            [motion.ego(after_s), paths[0].at(after_s), paths[1].at(after_s)].map(|pose| pose.translation.x)
         };
         for (after_s, expected) in [
             (0.0, [10.0, 5.0, 7.0]),
@@ -89,6 +104,8 @@ mod tests {
             assert!(found.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-9), "{found:?}");
         }
         let still = Motion::new(&now, None);
-        assert_eq!((still.ego(-0.05), still.actors(1.0)), (now.global_from_ego, now.actors.clone()));
+        let there: Vec<Pose> = still.paths().iter().map(|path| path.at(1.0)).collect();
+        assert_eq!(still.ego(-0.05), now.global_from_ego);
+        assert_eq!(there, now.actors.iter().map(|actor| actor.cuboid.pose).collect::<Vec<_>>());
     }
 }

@@ -1,57 +1,75 @@
-//! Rendering of a sweep: sectors on the rasterizer, returns on the host.
-
-use std::ops::Range;
-use std::time::{Duration, Instant};
+//! Rendering of a sweep: columns of rays against the solids of a scene.
 
 use glam::DVec3;
 use rayon::prelude::*;
 
-use super::cast::{Return, cast};
+use super::cast::{Body, LidarHit, LidarRays, cast};
 use super::error::LidarError;
-use super::image::SectorImage;
 use super::motion::Motion;
-use super::points::PointPages;
-use super::sectors::Sector;
+use super::solids::Solids;
 use super::spec::{LidarDevice, LidarSpec};
 use super::sweep::{LidarSweep, RangeImage};
-use crate::geometry::{ImageSize, View};
+use crate::geometry::Pose;
 use crate::hash::unit;
-use crate::memory::{Need, reserve};
-use crate::pipeline::Pipeline;
-use crate::raster::{
-    FrameJob, Instance, MapKind, MapSet, Occlusion, RasterError, Rasterizer, SplatSchedule, SplatStep,
-};
+use crate::raster::Instance;
 use crate::scene::{SceneClouds, SceneState, SelectionOptions};
 
-/// Sectors that are rendered together: others are rendered while their returns are calculated.
-const TOGETHER: usize = 4;
-/// Memory of a pixel's visible point at all levels, bytes.
-const PIXEL_BYTES: u64 = 22;
-
 /// Actors with at most this many points get the template of their category. Fewer than for maps: a ray needs
-/// no more than a point on either side.
+/// no more than a few points around it.
 const MIN_ACTOR_POINTS: usize = 500;
 
-/// Consecutive sectors in which all clouds have the same poses.
-struct Job {
-    sectors: Range<usize>,
-    views: Vec<View>,
-    instances: Vec<Instance>,
-}
+/// Room for the motion of bodies and device between the times at which their distance is checked, meters.
+const ROOM_M: f64 = 10.0;
 
-/// Clouds of a scene, and the positions of their points.
+/// Clouds of a scene, and their surfaces.
 pub(crate) struct Scene<'s, 'a> {
     pub(crate) clouds: &'s SceneClouds<'a>,
     pub(crate) selection: &'s SelectionOptions,
-    pub(crate) pages: &'s mut PointPages<'a>,
+    pub(crate) solids: &'s mut Solids<'a>,
+}
+
+impl Scene<'_, '_> {
+    /// Returns what rays meet up to a range, in their order.
+    ///
+    /// # Errors
+    /// Fails if points cannot be read.
+    pub(crate) fn cast(
+        &mut self,
+        rays: &[LidarRays],
+        motion: &Motion<'_>,
+        far_m: f64,
+    ) -> Result<Vec<Vec<Option<LidarHit>>>, LidarError> {
+        let bodies = self.bodies(motion);
+        let reaches = |body: &&Body| {
+            let ends = [rays.first(), rays.get(rays.len() / 2), rays.last()];
+            let is_near = |rays: &LidarRays| body.distance_m(rays.origin, rays.after_s) <= far_m + ROOM_M;
+            ends.into_iter().flatten().any(is_near)
+        };
+        self.solids.make(bodies.iter().filter(reaches).map(|body| body.cloud))?;
+        Ok(rays.par_iter().map(|rays| cast(rays, &bodies, self.solids, far_m)).collect())
+    }
+
+    /// Returns the clouds that have points, and how they move.
+    fn bodies(&self, motion: &Motion<'_>) -> Vec<Body> {
+        let most = self.selection.min_actor_points.min(MIN_ACTOR_POINTS);
+        let selection = SelectionOptions { min_actor_points: most, ..*self.selection };
+        let instances = self.clouds.instances(motion.state(), &selection).geometry;
+        let (actors, paths) = (&motion.state().actors, motion.paths());
+        let body = |instance: &Instance| {
+            let bounds = self.solids.bounds(instance.cloud)?;
+            let actor = (instance.number as usize).checked_sub(1);
+            let actor = actor.and_then(|actor| Some((actors.get(actor)?, *paths.get(actor)?)));
+            Some(Body::new(instance, &bounds, actor))
+        };
+        instances.iter().filter_map(body).collect()
+    }
 }
 
 /// Renders a sweep of a moving scene.
 ///
 /// # Errors
-/// Fails if the spec is invalid, if the rasterizer fails, or if points cannot be read.
-pub(crate) fn render<'r>(
-    rasterizer: &mut (dyn Rasterizer + 'r),
+/// Fails if the spec is invalid, or if points cannot be read.
+pub(crate) fn render(
     mut scene: Scene<'_, '_>,
     spec: &LidarSpec,
     motion: &Motion<'_>,
@@ -62,7 +80,9 @@ pub(crate) fn render<'r>(
     let state = motion.state();
     let (mut devices, mut first_ring) = (Vec::new(), 0);
     for (number, device) in spec.devices.iter().enumerate() {
-        let mut image = render_device(rasterizer, &mut scene, device, motion)?;
+        let rays = device.sweep_rays(motion);
+        let hits = scene.cast(&rays, motion, device.range_m[1])?;
+        let mut image = image(device, &rays, &hits, &state.global_from_ego.inverse());
         image.first_ring = first_ring;
         first_ring += image.beams;
         lose(&mut image, device.dropout, spec.seed, [state.t_us, number as i64]);
@@ -73,85 +93,26 @@ pub(crate) fn render<'r>(
     Ok(LidarSweep { name: name.clone(), t_us: *t_us, global_from_ego: *global_from_ego, tracks, devices })
 }
 
-fn render_device<'r>(
-    rasterizer: &mut (dyn Rasterizer + 'r),
-    scene: &mut Scene<'_, '_>,
+/// Returns the range image of hits; those below the device's least range are no returns.
+fn image(
     device: &LidarDevice,
-    motion: &Motion<'_>,
-) -> Result<RangeImage, LidarError> {
-    let sectors = Sector::all(device, motion)?;
-    let jobs = jobs(scene, &sectors, motion);
-    let pixels = sectors.iter().map(|sector| ImageSize::of(&sector.view.camera).pixels()).max().unwrap_or(0);
-    let bytes = PIXEL_BYTES * (pixels * TOGETHER) as u64;
-    let need = || Need { what: format!("LiDAR {}", device.name), bytes, advice: "fewer columns need less" };
-    let _memory = reserve(bytes, need).map_err(RasterError::from)?;
-    let schedule = SplatSchedule::new(vec![SplatStep { z_max_m: device.range_m[1] as f32, radius: 0 }])?;
+    rays: &[LidarRays],
+    hits: &[Vec<Option<LidarHit>>],
+    ego_from_global: &Pose,
+) -> RangeImage {
     let mut image = blank(device);
-    let (mut waiting, mut pipeline) = (jobs.iter(), Pipeline::default());
-    let mut begin = |rasterizer: &mut (dyn Rasterizer + 'r)| {
-        let Some(job) = waiting.next() else { return Ok(None) };
-        rasterizer.begin(&frame(job, &schedule))?;
-        Ok::<_, LidarError>(Some(job))
-    };
-    let mut spent = Duration::ZERO;
-    loop {
-        let finish = |rasterizer: &mut (dyn Rasterizer + 'r), job: &&Job| {
-            let maps = rasterizer.finish()?;
-            let start = Instant::now();
-            let points: Vec<&[u32]> = maps.iter().map(|maps| &*maps.point).collect();
-            let numbers = scene.pages.numbers(&job.instances);
-            scene.pages.load(&job.instances, &numbers, &points).map_err(RasterError::from)?;
-            for (sector, points) in sectors[job.sectors.clone()].iter().zip(points) {
-                let hits = scene.pages.hits(&sector.view, &job.instances, &numbers, points);
-                let camera = &sector.view.camera;
-                let seen = SectorImage::new(
-                    &camera.intrinsics,
-                    [camera.width, camera.height].map(|side| side as usize),
-                    hits,
-                );
-                fill(&mut image, &seen, sector, device, motion);
-            }
-            spent += start.elapsed();
-            Ok(())
-        };
-        if pipeline.next(rasterizer, &mut begin, finish)?.is_none() {
-            break;
+    for (column, (rays, hits)) in rays.iter().zip(hits).enumerate() {
+        for (beam, (direction, hit)) in rays.directions.iter().zip(hits).enumerate() {
+            let Some(hit) = hit.filter(|hit| hit.range_m >= device.range_m[0]) else { continue };
+            let position: DVec3 = ego_from_global.transform_point(rays.origin + *direction * hit.range_m);
+            let at = beam * image.columns + column;
+            image.range_m[at] = hit.range_m as f32;
+            image.position[at] = position.as_vec3().to_array();
+            image.class[at] = hit.class;
+            image.instance[at] = hit.instance;
         }
     }
-    rasterizer.stages().add("returns", spent);
-    Ok(image)
-}
-
-/// Divides sectors into jobs of equal instances.
-fn jobs(scene: &Scene<'_, '_>, sectors: &[Sector], motion: &Motion<'_>) -> Vec<Job> {
-    let most = scene.selection.min_actor_points.min(MIN_ACTOR_POINTS);
-    let selection = SelectionOptions { min_actor_points: most, ..*scene.selection };
-    let mut jobs: Vec<Job> = Vec::new();
-    for (at, sector) in sectors.iter().enumerate() {
-        let state = SceneState { actors: motion.actors(sector.after_s), ..motion.state().clone() };
-        let instances = scene.clouds.instances(&state, &selection).geometry;
-        match jobs.last_mut() {
-            Some(job) if job.views.len() < TOGETHER && job.instances == instances => {
-                job.sectors.end = at + 1;
-                job.views.push(sector.view.clone());
-            }
-            _ => jobs.push(Job { sectors: at..at + 1, views: vec![sector.view.clone()], instances }),
-        }
-    }
-    jobs
-}
-
-fn frame<'j>(job: &'j Job, schedule: &'j SplatSchedule) -> FrameJob<'j> {
-    FrameJob {
-        views: &job.views,
-        schedule,
-        color: &job.instances,
-        geometry: &job.instances,
-        occlusion: Occlusion::Scene,
-        crop: None,
-        maps: MapSet::of(&[MapKind::Point]),
-        out_size: None,
-    }
+    image
 }
 
 fn blank(device: &LidarDevice) -> RangeImage {
@@ -167,39 +128,6 @@ fn blank(device: &LidarDevice) -> RangeImage {
         class: vec![0; rays],
         instance: vec![0; rays],
         offset_s: (0..columns).map(|column| device.offset_s(column) as f32).collect(),
-    }
-}
-
-/// Fills the columns of a sector with the returns of their rays.
-fn fill(
-    image: &mut RangeImage,
-    seen: &SectorImage,
-    sector: &Sector,
-    device: &LidarDevice,
-    motion: &Motion<'_>,
-) {
-    let ego_from_camera =
-        motion.state().global_from_ego.inverse().affine() * sector.view.camera_from_world.inverse();
-    let [near_m, far_m] = device.range_m;
-    let column = |column: usize| {
-        let rays = sector.rays(device, motion, column);
-        let hit = |ray| {
-            let found: Return = cast(seen, &ray).filter(|found| (near_m..=far_m).contains(&found.range_m))?;
-            let at: DVec3 = ray.origin + ray.direction * found.range_m;
-            Some((found, ego_from_camera.transform_point3(at).as_vec3().to_array()))
-        };
-        rays.into_iter().map(hit).collect::<Vec<_>>()
-    };
-    let columns: Vec<_> = sector.columns.clone().into_par_iter().map(column).collect();
-    for (column, hits) in sector.columns.clone().zip(columns) {
-        for (beam, hit) in hits.into_iter().enumerate() {
-            let Some((found, position)) = hit else { continue };
-            let at = beam * image.columns + column;
-            image.range_m[at] = found.range_m as f32;
-            image.position[at] = position;
-            image.class[at] = (found.label & 0xff) as u8;
-            image.instance[at] = found.label >> 8;
-        }
     }
 }
 

@@ -5,11 +5,13 @@ use std::path::Path;
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
 
+use super::cast::LidarRays;
+use super::motion::Motion;
 use crate::error::FileError;
 use crate::files::json;
 use crate::geometry::Pose;
 
-/// Maximum absolute elevation of a beam, degrees: sectors are rendered as pinhole images.
+/// Maximum absolute elevation of a beam, degrees.
 pub const MAX_ELEVATION_DEG: f64 = 75.0;
 /// Maximum number of rays of a sweep.
 pub const MAX_RAYS: usize = 1 << 24;
@@ -181,6 +183,18 @@ impl LidarDevice {
         let (up, across) = self.elevations_deg[beam].to_radians().sin_cos();
         let (left, forward) = self.beam_azimuth_rad(beam, column).sin_cos();
         DVec3::new(across * forward, across * left, up)
+    }
+
+    /// Returns the rays of a sweep, column by column, while the ego moves.
+    pub fn sweep_rays(&self, motion: &Motion<'_>) -> Vec<LidarRays> {
+        let rays = |column| {
+            let after_s = self.offset_s(column);
+            let Pose { rotation, translation } = motion.ego(after_s) * self.ego_from_lidar();
+            let direction = |beam| rotation * self.direction(beam, column);
+            let directions = (0..self.elevations_deg.len()).map(direction).collect();
+            LidarRays { after_s, origin: translation, directions }
+        };
+        (0..self.columns).map(rays).collect()
     }
 
     fn share(&self, column: usize) -> f64 {

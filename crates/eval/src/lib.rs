@@ -31,7 +31,7 @@ pub use evaluate::{EvaluateError, EvaluateOptions, Report, SCORES, evaluate};
 #[cfg(feature = "town")]
 pub use fidelity::{
     CameraRow, FidelityError, FidelityFiles, FidelityFrames, FidelityReport, FidelitySource, MaskBand,
-    MaskRow, Row, Rows, fidelity,
+    MaskRow, Row, Rows, SweepRow, fidelity, sweep_fidelity,
 };
 pub use images::image_quality::{FilledError, compare_filled, psnr_db};
 pub use images::motion::{MOVING_MPS, Motion, MotionSums, MovingFrame, moving_mask};

@@ -1,10 +1,12 @@
 //! Compares condition maps with ground truth: all maps of the synthetic town, at and beside the recorded
-//! poses (`measure`), or color maps of a log with its images (`recorded`). `table` formats.
+//! poses (`measure`), or color maps of a log with its images (`recorded`); or LiDAR sweeps (`sweeps`). `table`
+//! formats.
 
 mod differences;
 mod error;
 mod measure;
 mod recorded;
+mod sweeps;
 mod table;
 mod truth;
 
@@ -12,12 +14,14 @@ pub use differences::MaskBand;
 pub use error::FidelityError;
 pub use measure::{MaskRow, Row};
 pub use recorded::CameraRow;
+pub use sweeps::SweepRow;
 pub use table::FidelityFiles;
 
 use std::ops::Range;
 
 use point_skeleton::conditions::{ConditionOptions, MapKind, MapSet};
 use point_skeleton::dataset::{LogReader, Recording};
+use point_skeleton::lidar::LidarSpec;
 use point_skeleton::{Log, Renderer};
 use pskel_town::Town;
 use serde::Serialize;
@@ -51,7 +55,10 @@ pub struct FidelityReport {
     frames: [usize; 2],
     #[serde(skip_serializing_if = "Option::is_none")]
     hold_out: Option<usize>,
-    options: ConditionOptions,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    options: Option<ConditionOptions>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    lidar: Option<LidarSpec>,
     /// Rows of the table.
     #[serde(flatten)]
     pub rows: Rows,
@@ -65,6 +72,8 @@ pub enum Rows {
     Poses(Vec<Row>),
     /// Color maps against recorded images, a row per camera and one of all.
     Cameras(Vec<CameraRow>),
+    /// LiDAR sweeps: of the town a row per pose, of a log a row per device and one of all.
+    Sweeps(Vec<SweepRow>),
 }
 
 impl FidelitySource<'_> {
@@ -83,6 +92,27 @@ impl FidelitySource<'_> {
             Self::Log(_) => 1,
         }
     }
+
+    /// Returns the number of poses at which the sweeps of every frame are compared.
+    pub fn sweep_poses(&self) -> usize {
+        match self {
+            Self::Town(_) => sweeps::TOWN_POSES,
+            Self::Log(_) => 1,
+        }
+    }
+
+    fn report(&self, frames: &FidelityFrames, rows: Rows) -> FidelityReport {
+        let log = self.recording();
+        FidelityReport {
+            log: log.name.clone(),
+            description: log.description.clone(),
+            frames: [frames.range.start, frames.range.end],
+            hold_out: frames.hold_out,
+            options: None,
+            lidar: None,
+            rows,
+        }
+    }
 }
 
 impl FidelityFrames {
@@ -94,13 +124,30 @@ impl FidelityFrames {
 }
 
 impl Rows {
-    /// Returns the number of compared images.
-    pub fn images(&self) -> usize {
+    /// Returns the number of compared images or sweeps, and what they are.
+    pub fn compared(&self) -> (usize, &'static str) {
         match self {
-            Self::Poses(rows) => rows.iter().map(|row| row.images).sum(),
-            Self::Cameras(rows) => rows.last().map_or(0, |all| all.images),
+            Self::Poses(rows) => (rows.iter().map(|row| row.images).sum(), "images"),
+            Self::Cameras(rows) => (rows.last().map_or(0, |all| all.images), "images"),
+            Self::Sweeps(rows) => (rows.last().map_or(0, |last| last.sweeps), "sweeps"),
         }
     }
+}
+
+/// Compares LiDAR sweeps of frames instead of maps. `spec` describes the devices, all of them with a mount: a
+/// town is scanned by them, and recorded sweeps have their timing and range.
+///
+/// # Errors
+/// Fails if the log has no such frame, or if sweeps cannot be rendered or read.
+pub fn sweep_fidelity(
+    source: FidelitySource<'_>,
+    renderer: &mut Renderer<'_>,
+    frames: &FidelityFrames,
+    spec: &LidarSpec,
+    on_step: &mut dyn FnMut(&str),
+) -> Result<FidelityReport, FidelityError> {
+    let rows = Rows::Sweeps(sweeps::measure(source, renderer, frames, spec, on_step)?);
+    Ok(FidelityReport { lidar: Some(spec.clone()), ..source.report(frames, rows) })
 }
 
 /// Compares the maps of frames. `renderer` is of the log's skeleton; `options` set splat radii and sizes;
@@ -139,13 +186,5 @@ pub fn fidelity(
             Rows::Cameras(recorded::measure(log, renderer, frames.iter(), &options, on_step)?)
         }
     };
-    let log = source.recording();
-    Ok(FidelityReport {
-        log: log.name.clone(),
-        description: log.description.clone(),
-        frames: [frames.range.start, frames.range.end],
-        hold_out: frames.hold_out,
-        options,
-        rows,
-    })
+    Ok(FidelityReport { options: Some(options), ..source.report(frames, rows) })
 }

@@ -3,6 +3,7 @@
 use super::differences::MaskBand;
 use super::measure::{MaskRow, Row};
 use super::recorded::CameraRow;
+use super::sweeps::SweepRow;
 use super::{FidelityReport, Rows};
 use crate::table::{aligned, markdown, number};
 use crate::{FilledError, MaskDifference, MaskRule};
@@ -30,6 +31,18 @@ const POSE_HEADER: [&str; 16] = [
 const CAMERA_HEADER: [&str; 6] =
     ["camera", "images", "PSNR (dB)", "filled (%)", "mean error (levels)", "median error (levels)"];
 
+const SWEEP_HEADER: [&str; 9] = [
+    "sweep",
+    "sweeps",
+    "returns",
+    "true returns",
+    "range median (m)",
+    "precision 10 cm",
+    "recall 10 cm",
+    "F-score",
+    "behind (%)",
+];
+
 /// File kinds of a report.
 pub struct FidelityFiles;
 
@@ -44,13 +57,13 @@ impl FidelityFiles {
     pub const CSV: FileKind = FileKind {
         name: "a table of pskel fidelity",
         begin: b"",
-        marks: &[b",images,PSNR (dB),filled (%),"],
+        marks: &[b",images,PSNR (dB),filled (%),", b",sweeps,returns,true returns,"],
     };
     /// Table as Markdown.
     pub const MARKDOWN: FileKind = FileKind {
         name: "a table of pskel fidelity",
         begin: b"| ",
-        marks: &[b" | images | PSNR (dB) | filled (%) |"],
+        marks: &[b" | images | PSNR (dB) | filled (%) |", b" | sweeps | returns | true returns |"],
     };
 }
 
@@ -79,6 +92,7 @@ impl Rows {
         let (header, rows): (&[&str], Vec<_>) = match self {
             Self::Poses(rows) => (&POSE_HEADER, rows.iter().map(pose_row).collect()),
             Self::Cameras(rows) => (&CAMERA_HEADER, rows.iter().map(camera_row).collect()),
+            Self::Sweeps(rows) => (&SWEEP_HEADER, rows.iter().map(sweep_row).collect()),
         };
         let header = header.iter().map(|&cell| cell.to_owned()).collect();
         std::iter::once(header).chain(rows).collect()
@@ -117,6 +131,20 @@ fn camera_row(row: &CameraRow) -> Vec<String> {
         defined(100.0 * filled, 2),
         defined(mean_abs, 2),
         defined(median_abs, 2),
+    ]
+}
+
+fn sweep_row(row: &SweepRow) -> Vec<String> {
+    vec![
+        row.sweep.clone(),
+        row.sweeps.to_string(),
+        row.returns.to_string(),
+        row.true_returns.to_string(),
+        number(row.median_m, 4),
+        number(row.precision, 4),
+        number(row.recall, 4),
+        number(row.f_score, 4),
+        number(row.behind.map(|share| 100.0 * share), 2),
     ]
 }
 

@@ -2,4 +2,6 @@
 #![allow(clippy::unwrap_used)] // helpers outside `#[test]`
 
 mod metrics;
+#[cfg(feature = "town")]
+mod sweeps;
 mod town_masks;

@@ -26,12 +26,17 @@ pub(crate) struct LidarArgs {
     lidar_format: LidarFormat,
 }
 
-/// Checks the name of a preset; files are read later.
-fn spec(text: &str) -> Result<String, String> {
+/// Argument parser for a preset or a file: checks the name of a preset; files are read later.
+pub(crate) fn spec(text: &str) -> Result<String, String> {
     if !is_file(text) {
         LidarSpec::named(text).map_err(|error| error.to_string())?;
     }
     Ok(text.to_owned())
+}
+
+/// Iterates over the file that a spec is in, if it is in one.
+pub(crate) fn file(spec: Option<&str>) -> impl Iterator<Item = &Path> {
+    spec.filter(|text| is_file(text)).map(Path::new).into_iter()
 }
 
 fn is_file(text: &str) -> bool {
@@ -41,7 +46,7 @@ fn is_file(text: &str) -> bool {
 impl LidarArgs {
     /// Returns the file that is read.
     pub(crate) fn inputs(&self) -> impl Iterator<Item = &Path> {
-        self.lidar.as_deref().filter(|text| is_file(text)).map(Path::new).into_iter()
+        file(self.lidar.as_deref())
     }
 
     /// Returns the sweeps to write; `None` for maps alone. Devices without a mount are where the log's LiDAR
@@ -50,19 +55,26 @@ impl LidarArgs {
     /// # Errors
     /// Fails if a file is invalid, or if a device has no mount and the log no sweeps.
     pub(crate) fn output(&self, log: &Recording) -> Result<Option<LidarOutput>, FileError> {
-        let Some(text) = &self.lidar else { return Ok(None) };
-        let spec = LidarSpec::named(text)?;
-        let recorded = log.frames.iter().flat_map(|frame| &frame.sweeps).next();
-        let at: Option<DVec3> = recorded.map(|sweep| sweep.ego_from_lidar.translation);
-        let is_mounted = spec.devices.iter().all(|device| device.ego_from_lidar.is_some());
-        let spec = match at {
-            Some(at) => spec.mounted_at(at),
-            None if is_mounted => spec,
-            None => {
-                let expected = "ego_from_lidar of each device, or a log with sweeps";
-                return Err(FileError::content(expected, "neither", Path::new(text)));
-            }
-        };
-        Ok(Some(LidarOutput { spec, format: self.lidar_format }))
+        let spec = self.lidar.as_deref().map(|text| mounted(text, log)).transpose()?;
+        Ok(spec.map(|spec| LidarOutput { spec, format: self.lidar_format }))
+    }
+}
+
+/// Returns a preset, or the spec of a file. Devices without a mount are where the log's LiDAR is.
+///
+/// # Errors
+/// Fails if a file is invalid, or if a device has no mount and the log no sweeps.
+pub(crate) fn mounted(text: &str, log: &Recording) -> Result<LidarSpec, FileError> {
+    let spec = LidarSpec::named(text)?;
+    let recorded = log.frames.iter().flat_map(|frame| &frame.sweeps).next();
+    let at: Option<DVec3> = recorded.map(|sweep| sweep.ego_from_lidar.translation);
+    let is_mounted = spec.devices.iter().all(|device| device.ego_from_lidar.is_some());
+    match at {
+        Some(at) => Ok(spec.mounted_at(at)),
+        None if is_mounted => Ok(spec),
+        None => {
+            let expected = "ego_from_lidar of each device, or a log with sweeps";
+            Err(FileError::content(expected, "neither", Path::new(text)))
+        }
     }
 }

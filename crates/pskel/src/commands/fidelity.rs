@@ -8,10 +8,11 @@ use clap::Args;
 use point_skeleton::error::FileError;
 use point_skeleton::files::{FileKind, OutputFile};
 use point_skeleton::{RenderOptions, Renderer};
-use pskel_eval::{FidelityFiles, FidelityFrames, FidelityReport, FidelitySource, fidelity};
+use pskel_eval::{FidelityFiles, FidelityFrames, FidelityReport, FidelitySource, fidelity, sweep_fidelity};
 use pskel_town::Town;
 
 use crate::args::frames::{FrameArgs, HoldOutArgs};
+use crate::args::lidar;
 use crate::args::outputs;
 use crate::args::rasterizer::RasterizerArgs;
 use crate::args::size::SizeArgs;
@@ -25,7 +26,7 @@ use crate::progress::Progress;
 /// Synthetic town: every frame is rendered from the recorded pose, from 0.5, 1, 2 and 3.5 m beside it, and
 /// rotated by 5, 10 and 20 degrees. Color is compared on filled pixels, depth where both have one, masks by
 /// class. Offsets are to the right, or to the left if only that is on a lane. Recorded log: color maps at the
-/// times of the images are compared with these on filled pixels.
+/// times of the images are compared with these on filled pixels. With --lidar, sweeps are compared instead.
 #[derive(Debug, Args)]
 pub(crate) struct FidelityArgs {
     #[command(flatten)]
@@ -39,6 +40,11 @@ pub(crate) struct FidelityArgs {
     /// Write the report: FILE.json (all numbers), FILE.csv or FILE.md (the table); may be repeated
     #[arg(long, value_name = "FILE", value_parser = Form::path)]
     out: Vec<PathBuf>,
+    /// Compare LiDAR sweeps instead: the town's with beams that are cast through it, also from 2 m beside and
+    /// 5 degrees turned; a log's recorded ones with rays toward their points, with the timing and the range of
+    /// the spec. hdl-32e, vlp-32c, pandar64, pandar128, av2, nuplan, or a JSON file of devices (name.json)
+    #[arg(long, value_name = "SPEC", value_parser = lidar::spec)]
+    lidar: Option<String>,
     #[command(flatten)]
     substitutes: SubstituteArgs,
     #[command(flatten)]
@@ -83,7 +89,7 @@ impl Form {
 /// Runs the command: renders, compares, prints the table.
 pub(crate) fn run(args: &FidelityArgs) -> anyhow::Result<()> {
     let start = Instant::now();
-    let inputs = args.source.inputs().and(args.substitutes.inputs());
+    let inputs = args.source.inputs().and(args.substitutes.inputs()).and(lidar::file(args.lidar.as_deref()));
     outputs::check_different(args.out.iter().map(|path| ("--out", path.as_path())))?;
     let forms = args.out.iter().filter_map(|path| Some((path, Form::of(path)?)));
     let open = |(path, form): (&PathBuf, Form)| {
@@ -111,15 +117,20 @@ pub(crate) fn run(args: &FidelityArgs) -> anyhow::Result<()> {
         ..RenderOptions::default()
     };
     let mut renderer = Renderer::new(&skeleton, render)?;
-    let mut progress = Progress::new(source.poses() * frames.iter().count());
+    let spec = args.lidar.as_deref().map(|text| lidar::mounted(text, log)).transpose()?;
+    let poses = if spec.is_some() { source.sweep_poses() } else { source.poses() };
+    let mut progress = Progress::new(poses * frames.iter().count());
     let mut on_step = |name: &str| progress.step(name);
-    let report = fidelity(source, &mut renderer, &frames, args.size.conditions(), &mut on_step)?;
+    let report = match spec {
+        Some(spec) => sweep_fidelity(source, &mut renderer, &frames, &spec, &mut on_step)?,
+        None => fidelity(source, &mut renderer, &frames, args.size.conditions(), &mut on_step)?,
+    };
     drop(progress);
     files.iter().try_for_each(|(file, write)| write(file, &report))?;
     print_result(report.table().trim_end());
-    let images = report.rows.images();
-    let (seconds, skeleton) = (start.elapsed().as_secs_f64(), args.source.skeleton.display());
-    print_result(&format!("compared {images} images of {} in {seconds:.2} s: {skeleton}", log.shown_name()));
+    let ((count, what), seconds) = (report.rows.compared(), start.elapsed().as_secs_f64());
+    let (name, skeleton) = (log.shown_name(), args.source.skeleton.display());
+    print_result(&format!("compared {count} {what} of {name} in {seconds:.2} s: {skeleton}"));
     Ok(())
 }
 

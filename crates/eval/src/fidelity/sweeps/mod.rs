@@ -1,0 +1,44 @@
+//! LiDAR sweeps against true ones: beams cast through a town (`town`), or recorded sweeps (`recorded`).
+
+mod compare;
+mod recorded;
+mod town;
+
+use point_skeleton::Renderer;
+use point_skeleton::dataset::{EgoTrack, LogReader};
+use point_skeleton::lidar::LidarSpec;
+use point_skeleton::scene::{EgoOffset, SceneState, state_at};
+
+pub use self::compare::SweepRow;
+use super::error::FidelityError;
+use super::{FidelityFrames, FidelitySource};
+
+/// Number of poses in a town.
+pub(super) const TOWN_POSES: usize = town::POSES.len();
+
+/// Compares the sweeps of frames. Devices of the spec have a mount.
+pub(super) fn measure(
+    source: FidelitySource<'_>,
+    renderer: &mut Renderer<'_>,
+    frames: &FidelityFrames,
+    spec: &LidarSpec,
+    on_step: &mut dyn FnMut(&str),
+) -> Result<Vec<SweepRow>, FidelityError> {
+    match source {
+        FidelitySource::Town(town) => town::measure(town, renderer, frames, spec, on_step),
+        FidelitySource::Log(log) => recorded::measure(log, renderer, frames, spec, on_step),
+    }
+}
+
+/// Returns the state of a log at a time, and another one from which it moves, at the other end of a sweep.
+fn states(
+    log: &dyn LogReader,
+    track: &EgoTrack,
+    t_us: i64,
+    offset: EgoOffset,
+    sweep_s: f64,
+) -> Option<(SceneState, Option<SceneState>)> {
+    let at = |t_us: i64| state_at(log.recording(), track, t_us, offset);
+    let step_us = (sweep_s * 1e6).round() as i64;
+    Some((at(t_us)?, at(t_us - step_us).or_else(|| at(t_us + step_us))))
+}
