@@ -175,11 +175,11 @@ mod tests {
         assert!(patches.iter().all(|patch| patch.class == 2) && patches.len() < 120, "{}", patches.len());
     }
 
-    /// Lines of beams 30 cm apart, with a point every 6 cm, as on the side of a car far away.
+    /// Lines of beams 15 cm apart, with a point every 6 cm, as on the side of a car far away.
     #[test]
     fn sparse_lines_are_a_surface() {
         let lines =
-            (0..5).flat_map(|line| (0..50).map(move |i| [f64::from(i) * 0.06, f64::from(line) * 0.3]));
+            (0..9).flat_map(|line| (0..50).map(move |i| [f64::from(i) * 0.06, f64::from(line) * 0.15]));
         let points: Vec<Point> = lines.map(|[y, z]| point([5.0, y, z], 1)).collect();
         let patches = patches(&points);
         for y in 1..28 {
