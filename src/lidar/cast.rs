@@ -246,7 +246,7 @@ mod tests {
         after_s: f64,
     ) -> Vec<Option<LidarHit>> {
         let (wall, side) = (wall(9.0), side());
-        let mut solids = Solids::new(vec![(&wall).into(), (&side).into()].into());
+        let mut solids = Solids::new(vec![(&wall).into(), (&side).into()]);
         let (now, mut other) = (state(car_y, class), state(car_y + 1.0, class));
         other.t_us = 100_000;
         let motion = Motion::new(&now, Some(&other));

@@ -61,9 +61,9 @@ fn axes(mut a: [[f64; 3]; 3]) -> [(f64, DVec3); 3] {
             for row in &mut a {
                 (row[p], row[q]) = (cosine * row[p] - sine * row[q], sine * row[p] + cosine * row[q]);
             }
-            for k in 0..3 {
-                (a[p][k], a[q][k]) = (cosine * a[p][k] - sine * a[q][k], sine * a[p][k] + cosine * a[q][k]);
-            }
+            let (first, second) = (a[p], a[q]);
+            a[p] = std::array::from_fn(|k| cosine * first[k] - sine * second[k]);
+            a[q] = std::array::from_fn(|k| sine * first[k] + cosine * second[k]);
             (vectors[p], vectors[q]) =
                 (vectors[p] * cosine - vectors[q] * sine, vectors[p] * sine + vectors[q] * cosine);
         }
