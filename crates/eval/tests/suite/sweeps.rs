@@ -19,7 +19,6 @@ fn rows(
     let options = RenderOptions { rasterizer: RasterizerKind::Cpu.into(), ..RenderOptions::default() };
     let mut renderer = Renderer::new(skeleton, options).unwrap();
     let report = sweep_fidelity(source, &mut renderer, frames, spec, &mut |_| ()).unwrap();
-    println!("{}", report.table());
     let Rows::Sweeps(rows) = report.rows else { panic!("expected sweeps") };
     rows
 }
