@@ -1,11 +1,11 @@
 //! LiDAR sweeps from a skeleton: ranges along the beams of a device at any pose and time.
 //!
 //! # How it works
-//! Points have gaps that rays would pass through. So each cloud is divided into pieces of planes ([`split`]):
+//! Points have gaps that rays would pass through. So each cloud is divided into pieces of planes (`split`):
 //! as large as the points are on a plane, and as fine as they are dense. A piece has a mask of where its
-//! points are, whose gaps are closed ([`mask`]). The pieces of a cloud are in a tree ([`solid`]). A
+//! points are, whose gaps are closed (`mask`). The pieces of a cloud are in a tree (`solid`). A
 //! [`LidarSpec`] describes the devices: a preset, or a JSON file. The rays of a column fire at once, from
-//! where the device is at that time, at the actors where they are then ([`motion`], [`cast`]). All of this is
+//! where the device is at that time, at the actors where they are then (`motion`, `cast`). All of this is
 //! on the host, so sweeps are the same bytes with any rasterizer and any number of threads.
 //!
 //! # What was rejected
