@@ -13,7 +13,7 @@ use crate::scene::ActorState;
 /// What surfaces may extend beyond the bounds of their points, meters.
 const BEYOND_M: f64 = 0.1;
 
-/// Rays of an instant from a point, like those of a column of a device.
+/// Rays of an instant from a point: a column of a device, for example.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LidarRays {
     /// Time after the state's, seconds.
@@ -55,7 +55,7 @@ pub(super) struct Body {
     core: Option<[DVec3; 2]>,
 }
 
-/// The part of space in which some rays are.
+/// The part of space around some rays.
 struct Fan {
     origin: DVec3,
     /// Unit vector in the half-plane of the rays, in their middle.
@@ -271,10 +271,10 @@ mod tests {
     #[test]
     fn rays_meet_what_is_nearest_at_their_time() {
         let (from, along) = (DVec3::new(0.0, 0.0, 1.0), [DVec3::X, DVec3::NEG_X]);
-        let wall = Some(LidarHit { range_m: 9.0, class: 0, instance: 0 });
         let found = met(20.0, Class::MotorVehicle, &along, from, 0.0);
-        assert!((found[0].unwrap().range_m - 9.0).abs() < 1e-5 && found[1].is_none(), "{found:?}");
-        assert_eq!(found[0].map(|hit| (hit.class, hit.instance)), wall.map(|hit| (hit.class, hit.instance)));
+        let hit = found[0].unwrap();
+        assert!((hit.range_m - 9.0).abs() < 1e-5 && found[1].is_none(), "{found:?}");
+        assert_eq!((hit.class, hit.instance), (0, 0));
         // From its left, the side of the car is at y = car_y + 1, and moves 10 m/s.
         let (left, right) = (DVec3::new(5.0, 6.0, 1.0), [DVec3::NEG_Y]);
         for after_s in [0.0, 0.05] {

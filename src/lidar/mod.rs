@@ -10,8 +10,8 @@
 //!
 //! # What was rejected
 //! Images of point numbers by the rasterizers, and planes through the visible points around each ray: rays
-//! passed between the points of near cars, and fitting planes for each ray took several times as long. Depth maps:
-//! a pixel of the road 30 m ahead is half a meter long. Splats of the size of the gaps: objects grow.
+//! passed between the points of near cars, and fitting planes for each ray took several times as long. Depth
+//! maps: a pixel of the road 30 m ahead is half a meter long. Splats as large as the gaps: objects grow.
 
 mod cast;
 mod error;

@@ -19,7 +19,7 @@ impl<'a> Motion<'a> {
         Self { state, other: other.map(with_time).filter(|(_, after_s)| *after_s != 0.0) }
     }
 
-    /// Returns the state whose time is that of the sweep.
+    /// Returns the state at the time of the sweep.
     pub fn state(&self) -> &'a SceneState {
         self.state
     }
@@ -30,8 +30,7 @@ impl<'a> Motion<'a> {
         self.other.map_or(pose, |(other, at_s)| pose.interpolate(&other.global_from_ego, after_s / at_s))
     }
 
-    /// Returns the paths of the actors, in the state's order. Those that the other state lacks stay where they
-    /// are.
+    /// Returns the paths of the actors, in the state's order. Actors without another state do not move.
     pub(crate) fn paths(&self) -> Vec<ActorPath> {
         let path = |actor: &ActorState| {
             let other = self.other.and_then(|(other, at_s)| {

@@ -129,7 +129,7 @@ fn hdl_32e() -> Vec<f64> {
     (0..32).map(|beam| (f64::from(beam) * 4.0 - 92.0) / 3.0).collect()
 }
 
-/// The sweep's time stamp is that of its first return; both devices turn half a turn apart.
+/// The sweep has the time stamp of its first return; both devices turn half a turn apart.
 fn av2() -> Vec<LidarDevice> {
     let up = device("up_lidar", VLP_32C_DEG.to_vec(), 1800, [1.0, 200.0], 0.1);
     let mount = |z, rotation| Some(Mount { translation: [1.35, 0.0, z], rotation });

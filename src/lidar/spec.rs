@@ -185,11 +185,16 @@ impl LidarDevice {
         DVec3::new(across * forward, across * left, up)
     }
 
+    /// Returns the pose in the global frame at the time of a column.
+    pub fn pose(&self, motion: &Motion<'_>, column: usize) -> Pose {
+        motion.ego(self.offset_s(column)) * self.ego_from_lidar()
+    }
+
     /// Returns the rays of a sweep, column by column, while the ego moves.
     pub fn sweep_rays(&self, motion: &Motion<'_>) -> Vec<LidarRays> {
         let rays = |column| {
             let after_s = self.offset_s(column);
-            let Pose { rotation, translation } = motion.ego(after_s) * self.ego_from_lidar();
+            let Pose { rotation, translation } = self.pose(motion, column);
             let direction = |beam| rotation * self.direction(beam, column);
             let directions = (0..self.elevations_deg.len()).map(direction).collect();
             LidarRays { after_s, origin: translation, directions }

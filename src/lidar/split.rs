@@ -70,7 +70,7 @@ fn divide(points: &mut [(Vec3, u8)], cell: Cell, patches: &mut Vec<Patch>) {
     let extent = max - min;
     let axis = extent.max_position();
     let is_small = extent[axis] <= SMALL_M;
-    let shape = (extent[axis] <= LONGEST_M).then(|| plane(points, cell, min, max)).flatten();
+    let shape = (extent[axis] <= LONGEST_M).then(|| plane(points, cell, [min, max], is_small)).flatten();
     let shape = shape.or_else(|| (is_small || points.len() == 1).then(|| filled(min, max)));
     if let Some(shape) = shape {
         patches.push(Patch { shape, class: class(points), points: points.len() as u32 });
@@ -85,12 +85,10 @@ fn divide(points: &mut [(Vec3, u8)], cell: Cell, patches: &mut Vec<Patch>) {
 }
 
 /// Returns the piece of a plane that points in a cell are on; `None` if they are on none, or if their halves
-/// have finer masks.
-fn plane(points: &[(Vec3, u8)], cell: Cell, min: Vec3, max: Vec3) -> Option<Shape> {
+/// have finer masks. `is_small` accepts thick planes.
+fn plane(points: &[(Vec3, u8)], cell: Cell, [min, max]: [Vec3; 2], is_small: bool) -> Option<Shape> {
     let at: Vec<Vec3> = points.iter().map(|(at, _)| *at).collect();
     let plane = Plane::through(&at)?;
-    let longest_m = (max - min).max_element();
-    let is_small = longest_m <= SMALL_M;
     let is_flat = plane.thickness_m <= THICK_M || is_small;
     if at.len() < 4 || plane.width_m <= WIDE * plane.thickness_m || !is_flat {
         return None;

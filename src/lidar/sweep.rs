@@ -71,7 +71,7 @@ impl LidarSweep {
         self.devices.iter().zip(0..).flat_map(|(image, device)| image.returns(device))
     }
 
-    /// Returns the points as those of a recorded sweep, in the ego frame.
+    /// Returns the points like a recorded sweep has them, in the ego frame.
     pub fn points(&self) -> Vec<SweepPoint> {
         let point = |LidarReturn { position, intensity, ring, .. }| SweepPoint { position, intensity, ring };
         self.returns().map(point).collect()

@@ -74,8 +74,8 @@ impl FromStr for EgoOffset {
 
     fn from_str(text: &str) -> Result<Self, ParseOptionError> {
         let wrong = || ParseOptionError {
-            expected: "a moved ego, like forward_m=1,left_m=-2,yaw_deg=5 (any of them, up_m and pitch_deg, each \
-                once, finite)",
+            expected: "a moved ego, like forward_m=1,left_m=-2,yaw_deg=5 (any of them, up_m and pitch_deg, \
+                each once, finite)",
             found: text.to_owned(),
         };
         let (mut offset, mut given) = (Self::default(), Vec::new());
@@ -168,6 +168,20 @@ pub fn state_of_images(
 /// instant; ego and actors are interpolated. `ego` holds the log's ego poses. The HD map is not set.
 pub fn state_at(log: &Recording, ego: &EgoTrack, t_us: i64, offset: EgoOffset) -> Option<SceneState> {
     Some(state_of(log, t_us, ego.at(t_us)? * offset.pose(), &log.boxes_at(t_us)))
+}
+
+/// Returns the state some seconds before a time or, if that is outside the log, after it, as [`state_at`];
+/// `None` if both are outside. The times between are those that a LiDAR sweep takes.
+pub fn state_beside(
+    log: &Recording,
+    ego: &EgoTrack,
+    t_us: i64,
+    seconds: f64,
+    offset: EgoOffset,
+) -> Option<SceneState> {
+    let step_us = (seconds * 1e6).round() as i64;
+    let at = |t_us: i64| state_at(log, ego, t_us, offset);
+    at(t_us.checked_sub(step_us)?).or_else(|| at(t_us.checked_add(step_us)?))
 }
 
 /// Returns the state for any ego pose and boxes of a log's tracks at any time. All cameras share the ego pose

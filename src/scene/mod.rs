@@ -10,7 +10,7 @@ mod state;
 mod substitutes;
 
 pub use from_log::{
-    EgoOffset, frame_rate_hz, name_of_frame, name_of_time, state_at, state_of, state_of_frame,
+    EgoOffset, frame_rate_hz, name_of_frame, name_of_time, state_at, state_beside, state_of, state_of_frame,
     state_of_images, with_cameras,
 };
 pub use ground_truth::{GroundTruthError, GroundTruthImages};

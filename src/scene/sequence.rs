@@ -3,7 +3,8 @@ use std::ops::{Range, RangeInclusive};
 use std::sync::Arc;
 
 use super::{
-    EgoOffset, SceneMap, SceneState, name_of_frame, name_of_time, state_at, state_of_frame, with_cameras,
+    EgoOffset, SceneMap, SceneState, name_of_frame, name_of_time, state_at, state_beside, state_of_frame,
+    with_cameras,
 };
 use crate::dataset::{EgoTrack, Frame, Recording};
 use crate::geometry::View;
@@ -129,9 +130,7 @@ impl<'a> SceneSequence<'a> {
     /// Returns the state some seconds before a state of the sequence, or after it if that is outside the log,
     /// with the same offset of the ego; `None` if both are outside. The times between are those of a sweep.
     pub fn beside(&self, state: &SceneState, seconds: f64) -> Option<SceneState> {
-        let step_us = (seconds * 1e6).round() as i64;
-        let at = |t_us: i64| state_at(self.log, &self.ego, t_us, self.offset);
-        at(state.t_us.checked_sub(step_us)?).or_else(|| at(state.t_us.checked_add(step_us)?))
+        state_beside(self.log, &self.ego, state.t_us, seconds, self.offset)
     }
 
     /// Counts the frames without an image of a log's camera, by camera.

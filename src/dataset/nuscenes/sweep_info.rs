@@ -118,10 +118,12 @@ mod tests {
     fn sources_at_the_time_of_the_sweep_are_the_first_lidar() {
         let info = read(
             r#"{"stamp": {"sec": 10, "nanosec": 5}, "num_pts_feats": 7, "sources": [
-                {"sensor_token": "left", "idx_begin": 0, "length": 2, "stamp": {"sec": 9, "nanosec": 999999999}},
+                {"sensor_token": "left", "idx_begin": 0, "length": 2,
+                    "stamp": {"sec": 9, "nanosec": 999999999}},
                 {"sensor_token": "none", "idx_begin": 2, "length": 0, "stamp": {"sec": 10, "nanosec": 5}},
                 {"sensor_token": "top", "idx_begin": 2, "length": 1, "stamp": {"sec": 10, "nanosec": 4}},
-                {"sensor_token": "right", "idx_begin": 3, "length": 2, "stamp": {"sec": 10, "nanosec": 6}}]}"#,
+                {"sensor_token": "right", "idx_begin": 3, "length": 2,
+                    "stamp": {"sec": 10, "nanosec": 6}}]}"#,
         )
         .unwrap();
         assert_eq!(info.columns, Some(7));

@@ -42,14 +42,14 @@ pub struct Insert {
     /// one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub category: Option<String>,
-    /// Length, width and height, meters; those of the track whose points it has, if there is one.
+    /// Length, width and height, meters; the track's whose points it has, if there is one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub size_m: Option<[f64; 3]>,
     /// Where it stands.
     pub at: Place,
 }
 
-/// Place on the ground: the height is that of the recorded ego path beside it.
+/// Place on the ground: the recorded ego path beside it gives the height.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Place {

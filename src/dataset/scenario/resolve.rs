@@ -20,7 +20,7 @@ const MAX_DISTANCE_M: f64 = 1e5;
 const MAX_SHIFT_M: f64 = 1e3;
 
 /// Checks changes against a log and places them in its global frame. The log has its inserted tracks, without
-/// boxes; `sizes` are those of the changed tracks, meters.
+/// boxes; `sizes` has the changed tracks, meters.
 ///
 /// # Errors
 /// Fails if a track, time or number of a change does not fit the log.

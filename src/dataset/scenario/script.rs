@@ -195,7 +195,7 @@ impl Script {
         Triggers(self.steps.iter().map(|s| [at(&s.start), s.end.as_ref().and_then(at)]).collect())
     }
 
-    /// Returns whether triggers can be those of this script: one pair per change, with its times.
+    /// Returns whether triggers can belong to this script: one pair per change, with its times.
     pub fn fits(&self, triggers: &Triggers) -> bool {
         let timed = self.timed();
         let fits = |(timed, found): (&[Option<i64>; 2], &[Option<i64>; 2])| {

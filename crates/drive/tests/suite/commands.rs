@@ -25,8 +25,8 @@ fn a_state_that_is_looked_at_has_the_bytes_of_rendered_files() {
         .send(&json!({"type": "look", "frame": 2, "left_m": 1.5, "yaw_deg": -10.0, "camera": {"up_m": 0.5}}));
     let frame = client.frame_with(|header| header["offset"]["left_m"] == 1.5);
     let command = frame.header["command"].as_str().unwrap();
-    let expected = "--frames 2..3 --ego-offset left_m=1.5,up_m=0.5,yaw_deg=-10 --maps color,depth,class --size \
-        45x80 --splat 8:3,60:1 --radius 60 --out out/maps";
+    let expected = "--frames 2..3 --ego-offset left_m=1.5,up_m=0.5,yaw_deg=-10 --maps color,depth,class \
+        --size 45x80 --splat 8:3,60:1 --radius 60 --out out/maps";
     assert!(command.starts_with("pskel render nuscenes:") && command.ends_with(expected), "{command}");
 
     let scratch = tempfile::tempdir().unwrap();

@@ -10,7 +10,7 @@ use crate::{MaskDifferences, MaskPair, MaskRule, VEHICLE_CLASS, vehicle_mask};
 /// Ends of the ranges of depth, meters; the last range has none.
 const ENDS_M: [u16; 3] = [20, 40, 60];
 
-/// Differences in a range of camera depth: that of the true vehicle, or of the map where there is none.
+/// Differences in a range of camera depth: the true vehicle's, or the map's where there is none.
 #[derive(Clone, Debug, Serialize)]
 pub struct MaskBand {
     /// Rule of the mask.

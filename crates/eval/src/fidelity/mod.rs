@@ -1,6 +1,6 @@
 //! Compares condition maps with ground truth: all maps of the synthetic town, at and beside the recorded
-//! poses (`measure`), or color maps of a log with its images (`recorded`); or LiDAR sweeps (`sweeps`). `table`
-//! formats.
+//! poses (`measure`), or color maps of a log with its images (`recorded`); or LiDAR sweeps (`sweeps`).
+//! `table` formats.
 
 mod differences;
 mod error;

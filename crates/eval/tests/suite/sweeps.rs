@@ -42,8 +42,8 @@ fn sweeps_agree_with_beams_through_the_town() {
     }
 }
 
-/// Two LiDARs at 10 Hz, with every other sweep held out. The second one scans at other times than the timing of
-/// the first says, and is not quite where the calibration says: the road has another height by centimeters.
+/// Two LiDARs at 10 Hz, with every other sweep held out. The second one scans at other times than the first,
+/// whose timing it gets, and is not quite where its calibration says: its road is higher by centimeters.
 #[test]
 fn sweeps_agree_with_held_out_ones() {
     let Some(root) = shared("PandaSet").map(|shared| shared.join("data/pandaset-002/nuscenes")) else {

@@ -64,9 +64,9 @@ pub(crate) struct GeneratorArgs {
     #[arg(long, value_parser = names::<SamplerOptions>())]
     sampler: Option<SamplerOptions>,
     /// With process:.., images:.. and fill, the recipe of the conditions as JSON, in which missing fields
-    /// have their defaults; or pas-nuscenes, pas-nuplan, pas-image-nuscenes or pas-image-nuplan, for a network
-    /// of the paper with the defaults of its window, steps, sampler and guidance [default for fill: as for
-    /// the shipped network; for images: maps of 256x448]
+    /// have their defaults; or pas-nuscenes, pas-nuplan, pas-image-nuscenes or pas-image-nuplan, for a
+    /// network of the paper with the defaults of its window, steps, sampler and guidance [default for fill:
+    /// as for the shipped network; for images: maps of 256x448]
     #[arg(long, value_name = "RECIPE")]
     recipe: Option<PathBuf>,
     /// Captions, in place of the prompt of --annotations, by name of a recording or image token:

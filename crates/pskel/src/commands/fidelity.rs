@@ -41,9 +41,12 @@ pub(crate) struct FidelityArgs {
     #[arg(long, value_name = "FILE", value_parser = Form::path)]
     out: Vec<PathBuf>,
     /// Compare LiDAR sweeps instead: the town's with beams that are cast through it, also from 2 m beside and
-    /// 5 degrees turned; a log's recorded ones with rays toward their points, with the timing and the range of
-    /// the spec. hdl-32e, vlp-32c, pandar64, pandar128, av2, nuplan, or a JSON file of devices (name.json)
-    #[arg(long, value_name = "SPEC", value_parser = lidar::spec)]
+    /// 5 degrees turned; a log's recorded ones with rays toward their points. The spec gives timing and
+    /// range: hdl-32e, vlp-32c, pandar64, pandar128, av2, nuplan, or a JSON file of devices (name.json)
+    #[arg(
+        long, value_name = "SPEC", value_parser = lidar::spec,
+        conflicts_with_all = ["size", "out_size", "splat"],
+    )]
     lidar: Option<String>,
     #[command(flatten)]
     substitutes: SubstituteArgs,

@@ -1,7 +1,7 @@
 //! Scenarios on collision course, chosen by a seed.
 //!
 //! # How it works
-//! The kinds stationary, frontal and side are those of NeuroNCAP (W. Ljungbergh et al., "NeuroNCAP:
+//! The kinds stationary, frontal and side come from NeuroNCAP (W. Ljungbergh et al., "NeuroNCAP:
 //! photorealistic closed-loop safety testing for autonomous driving", ECCV 2024); cut-ins and crossing
 //! pedestrians follow the same rule: an ego that keeps its recorded motion collides within 4 s. Unlike
 //! there, no scene is chosen by hand: `course` draws a time of the log, a time to the collision and an
@@ -56,7 +56,10 @@ pub enum FamilyError {
         seconds: f64,
     },
     /// Something is always in the way.
-    #[error("expected free space for a {} scenario, found {found} in the last of {DRAWS} draws", family.name())]
+    #[error(
+        "expected free space for a {} scenario, found {found} in the last of {DRAWS} draws",
+        family.name()
+    )]
     Blocked {
         /// The family.
         family: Family,

@@ -76,7 +76,7 @@ impl<'a> PdmScorer<'a> {
         })
     }
 
-    /// Returns whether a heading (radians) is more than 120 degrees from that of a lane at a position
+    /// Returns whether a heading (radians) is more than 120 degrees from a lane's at a position
     /// (global, meters).
     pub(crate) fn is_against_lane(&self, place: DVec2, heading_rad: f64) -> bool {
         self.roads.headings(place).any(|lane_rad| wrap_angle(lane_rad - heading_rad).abs() > AGAINST_RAD)

@@ -33,7 +33,7 @@ pub struct PdmScores {
     pub history_comfort: f64,
     /// Whether the drive alone is comfortable; part of [`Self::pdms`] only.
     pub comfort: f64,
-    /// Whether the drive hardly differs from that of the plan before; `None` without one.
+    /// Whether the drive hardly differs from the previous plan's; `None` without one.
     pub two_frame_extended_comfort: Option<f64>,
     /// PDM score: no collision × drivable area × mean of progress (5), time to collision (5) and comfort (2).
     pub pdms: f64,

@@ -73,7 +73,7 @@ impl PdmState {
     }
 
     /// Returns the state a step later. Both low-pass filters act on the command first; the yaw rate of the
-    /// step is that of the steering angle before it. Source: NAVSIM's `BatchKinematicBicycleModel`.
+    /// step has the steering angle before it. Source: NAVSIM's `BatchKinematicBicycleModel`.
     pub(super) fn moved(&self, command: Command) -> Self {
         let filtered = |from: f64, to: f64, lag_s: f64| STEP_S / (STEP_S + lag_s) * (to - from) + from;
         let acceleration = filtered(self.acceleration_mps2.x, command.acceleration_mps2, ACCELERATION_LAG_S);

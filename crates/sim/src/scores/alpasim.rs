@@ -32,7 +32,7 @@ pub struct AlpaSimScores {
     pub collision_at_fault: bool,
     /// Whether a part of the ego was outside of the drivable area; `None` without a map.
     pub offroad: Option<bool>,
-    /// Whether the ego's heading was more than 120 degrees from that of a lane below it; `None` without a
+    /// Whether the ego's heading was more than 120 degrees from a lane's below it; `None` without a
     /// map.
     pub wrong_lane: Option<bool>,
     /// Maximum distance of the ego's center from the recorded path, meters.

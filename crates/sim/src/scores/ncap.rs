@@ -6,7 +6,7 @@ use serde::Serialize;
 use crate::Collision;
 use crate::report::StepRow;
 
-/// Score without a collision, and that of a contact without speed.
+/// Scores without a collision, and for a contact without speed.
 const STARS: f64 = 5.0;
 const CONTACT_STARS: f64 = 4.0;
 

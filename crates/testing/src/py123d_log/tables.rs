@@ -107,7 +107,8 @@ pub fn camera_mount(key: &str) -> Pose {
 fn camera(key: &str, is_undistorted: bool) -> Value {
     json!({
         "camera_model": "pinhole", "camera_name": key.to_uppercase(), "camera_id": 1, "width": SIZE[1],
-        "height": SIZE[0], "intrinsics": INTRINSICS, "distortion": DISTORTION, "is_undistorted": is_undistorted,
+        "height": SIZE[0], "intrinsics": INTRINSICS, "distortion": DISTORTION,
+        "is_undistorted": is_undistorted,
         "camera_to_imu_se3": se3(&camera_mount(key)),
     })
 }

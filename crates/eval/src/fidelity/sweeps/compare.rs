@@ -29,7 +29,7 @@ pub struct SweepRow {
     pub recall: Option<f64>,
     /// Harmonic mean of both.
     pub f_score: Option<f64>,
-    /// Share of the returns that are over 10 cm behind the plane of the true surface; `None` if it is unknown.
+    /// Share of the returns over 10 cm behind the plane of the true surface; `None` if it is unknown.
     pub behind: Option<f64>,
 }
 
@@ -78,6 +78,23 @@ impl Sums {
                 self.behind[1] += usize::from((found_m - true_m) * facing > BEHIND_M);
             }
         }
+    }
+
+    /// Returns the sums over devices of the same sweeps.
+    pub(super) fn of_all<'s>(devices: impl Iterator<Item = &'s Self>) -> Self {
+        devices.fold(Self::default(), |mut all, device| {
+            let pairs = [
+                (&mut all.found, device.found),
+                (&mut all.truth, device.truth),
+                (&mut all.behind, device.behind),
+            ];
+            for (all, device) in pairs {
+                (all[0], all[1]) = (all[0] + device[0], all[1] + device[1]);
+            }
+            all.sweeps = all.sweeps.max(device.sweeps);
+            all.errors.extend(&device.errors);
+            all
+        })
     }
 
     /// Returns the row of the table.
@@ -141,6 +158,12 @@ mod tests {
         assert!((row.median_m.unwrap() - 0.3).abs() < 1e-9);
         assert_eq!((row.precision, row.recall, row.behind), (Some(1.0 / 3.0), Some(0.25), Some(1.0 / 3.0)));
         assert!((row.f_score.unwrap() - 2.0 / 7.0).abs() < 1e-12);
+        let one = [ray(0.0, Some(10.05), Some(10.0), Some(1.0))];
+        let [mut first, mut second] = [Sums::default(), Sums::default()];
+        first.add(&one);
+        second.add(&one);
+        let all = Sums::of_all([first, second].iter()).row("all".into());
+        assert_eq!((all.sweeps, all.returns, all.true_returns, all.precision), (1, 2, 2, Some(1.0)));
         let none = Sums::default().row("b".into());
         assert_eq!((none.median_m, none.f_score, none.behind), (None, None, None));
     }

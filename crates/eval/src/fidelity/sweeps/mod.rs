@@ -5,9 +5,9 @@ mod recorded;
 mod town;
 
 use point_skeleton::Renderer;
-use point_skeleton::dataset::{EgoTrack, LogReader};
+use point_skeleton::dataset::{EgoTrack, Recording};
 use point_skeleton::lidar::LidarSpec;
-use point_skeleton::scene::{EgoOffset, SceneState, state_at};
+use point_skeleton::scene::{EgoOffset, SceneState, state_at, state_beside};
 
 pub use self::compare::SweepRow;
 use super::error::FidelityError;
@@ -32,13 +32,12 @@ pub(super) fn measure(
 
 /// Returns the state of a log at a time, and another one from which it moves, at the other end of a sweep.
 fn states(
-    log: &dyn LogReader,
+    log: &Recording,
     track: &EgoTrack,
     t_us: i64,
     offset: EgoOffset,
     sweep_s: f64,
 ) -> Option<(SceneState, Option<SceneState>)> {
-    let at = |t_us: i64| state_at(log.recording(), track, t_us, offset);
-    let step_us = (sweep_s * 1e6).round() as i64;
-    Some((at(t_us)?, at(t_us - step_us).or_else(|| at(t_us + step_us))))
+    let state = state_at(log, track, t_us, offset)?;
+    Some((state, state_beside(log, track, t_us, sweep_s, offset)))
 }

@@ -14,12 +14,12 @@ use super::compare::{Ray, Sums, SweepRow};
 use super::states;
 use crate::fidelity::{FidelityError, FidelityFrames};
 
-/// Rounds in which the time of a point is found: the device moves less than a column in the last one.
+/// Rounds to find the time of a point: the device moves less than a column in the last one.
 const ROUNDS: usize = 3;
 
 /// Each point of a recorded sweep in the range of its device is a ray, at the time at which the device was
-/// turned toward it. A merged sweep says the device of each point, whose timing is that of the spec's device
-/// of the same number, or of the last one.
+/// turned toward it. A merged sweep says the device of each point: the spec's device with the same number, or
+/// its last one, gives the timing.
 pub(super) fn measure(
     log: &Log,
     renderer: &mut Renderer<'_>,
@@ -29,13 +29,12 @@ pub(super) fn measure(
 ) -> Result<Vec<SweepRow>, FidelityError> {
     let (recording, track) = (log.recording(), EgoTrack::new(log.recording()));
     let mut devices: BTreeMap<usize, Sums> = BTreeMap::new();
-    let mut all = Sums::default();
     for frame in frames.iter() {
         let none = || FidelityError::NoFrame { frame, log: recording.shown_name().into_owned() };
         let sweeps = &recording.frames.get(frame).ok_or_else(none)?.sweeps;
         for record in sweeps.iter().filter(|record| record.is_key) {
-            let found = states(log.reader(), &track, record.t_us, EgoOffset::default(), spec.duration_s());
-            let Some((state, other)) = found else { continue };
+            let found = states(recording, &track, record.t_us, EgoOffset::default(), spec.duration_s());
+            let (state, other) = found.ok_or_else(none)?;
             let motion = Motion::new(&state, other.as_ref());
             let sweep = log.reader().read_sweep(record)?;
             let global_from_lidar = record.global_from_ego * record.ego_from_lidar;
@@ -45,17 +44,14 @@ pub(super) fn measure(
                 let at = DVec3::from(point.position.map(f64::from));
                 points.entry(device).or_default().push(global_from_lidar.transform_point(at));
             }
-            let mut rays = Vec::new();
             for (number, points) in points {
                 let device = &spec.devices[number.min(spec.devices.len() - 1)];
-                let compared = compared(renderer, device, &motion, &points)?;
-                devices.entry(number).or_default().add(&compared);
-                rays.extend(compared);
+                devices.entry(number).or_default().add(&compared(renderer, device, &motion, &points)?);
             }
-            all.add(&rays);
         }
         on_step(&format!("frame {frame:06}"));
     }
+    let all = Sums::of_all(devices.values());
     let rows = devices.into_iter().map(|(number, sums)| sums.row(format!("device {number}")));
     Ok(rows.chain([all.row("all".to_owned())]).collect())
 }
@@ -68,7 +64,7 @@ fn compared(
     points: &[DVec3],
 ) -> Result<Vec<Ray>, FidelityError> {
     let [near_m, far_m] = device.range_m;
-    let poses: Vec<Pose> = (0..device.columns).map(|column| pose(device, motion, column)).collect();
+    let poses: Vec<Pose> = (0..device.columns).map(|column| device.pose(motion, column)).collect();
     let mut columns: Vec<Vec<Ray>> = vec![Vec::new(); device.columns];
     for point in points {
         let column = column(device, &poses, *point);
@@ -93,12 +89,7 @@ fn compared(
     Ok(columns.into_iter().flatten().zip(hits.iter().flatten()).map(with).collect())
 }
 
-/// Returns where a device is at the time of a column.
-fn pose(device: &LidarDevice, motion: &Motion<'_>, column: usize) -> Pose {
-    motion.ego(device.offset_s(column)) * device.ego_from_lidar()
-}
-
-/// Returns the column in which a device that turns is directed to a point.
+/// Returns the column at whose time a turning device is directed to a point.
 fn column(device: &LidarDevice, poses: &[Pose], point: DVec3) -> usize {
     let [first, end] = device.azimuth_deg.map(f64::to_radians);
     let mut column = device.columns - 1;

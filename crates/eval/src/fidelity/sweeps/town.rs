@@ -33,7 +33,7 @@ pub(super) fn measure(
         for frame in frames.iter() {
             let none = || FidelityError::NoFrame { frame, log: log.shown_name().into_owned() };
             let t_us = log.frames.get(frame).ok_or_else(none)?.t_us;
-            let (state, other) = states(town, &track, t_us, offset, spec.duration_s()).ok_or_else(none)?;
+            let (state, other) = states(log, &track, t_us, offset, spec.duration_s()).ok_or_else(none)?;
             let motion = Motion::new(&state, other.as_ref());
             for device in &spec.devices {
                 sums.add(&compared(town, renderer, device, &motion)?);

@@ -58,8 +58,8 @@ pub(crate) struct ScenarioArgs {
     /// Policy of the other actors
     #[arg(long, value_name = "POLICY", default_value_t, value_parser = names::<ActorPolicy>())]
     actors: ActorPolicy,
-    /// Scenarios, each simulated on all logs. The table has a row for a file's name without its number, as side
-    /// for side-3.json [default: the log as it was recorded]
+    /// Scenarios, each simulated on all logs. The table has a row for a file's name without its number, as
+    /// side for side-3.json [default: the log as it was recorded]
     #[arg(long, value_name = "FILE,..", value_delimiter = ',')]
     scenario: Vec<PathBuf>,
     /// Length of a rollout, seconds; PDM scores need 4
