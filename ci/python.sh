@@ -16,6 +16,8 @@ fi
 [ ! -d "$folder/nuscenes" ] || export PSKEL_NUSCENES_PYTHON="$folder/nuscenes/bin/python"
 [ ! -d "$folder/py123d" ] || export PSKEL_PY123D_PYTHON="$folder/py123d/bin/python"
 export PSKEL_VALIDATION=1
+# Hundreds of processes import PyTorch: modules are compiled once, here, whatever the caller's environment says.
+export PYTHONDONTWRITEBYTECODE= PYTHONPYCACHEPREFIX="$folder/bytecode"
 # Two processes, each with the tests of a file after another: many tests wait for processes of their own.
 export OMP_NUM_THREADS=1
 # Not in the folder of the sources, which would hide the installed package.

@@ -24,6 +24,7 @@ try:
         Skeleton,
         __version__,
         fill_holes,
+        lidar_spec,
         splat,
     )
     from ._build import build
@@ -72,5 +73,6 @@ __all__ = [
     "drive",
     "export",
     "fill_holes",
+    "lidar_spec",
     "splat",
 ]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +28,8 @@ CAMERAS = {
 }
 #: Commands, in the order of NAVSIM's one-hot vector.
 COMMANDS = ("left", "straight", "right", "unknown")
+#: End of the header of a PCD file.
+PCD_DATA = b"DATA binary\n"
 IMAGES_HELP = "images of the cameras: generated, or a map such as color (default auto: generated if there are any, else color)"
 
 
@@ -84,6 +87,57 @@ def camera(files: list[str], name: str, kind: str) -> dict[str, Any] | None:
         "distortion": np.zeros(5),
         "camera_path": path,
     }
+
+
+def lidar(files: list[str]) -> dict[str, Any] | None:
+    """Return the fields of NAVSIM's ``Lidar`` from the files of a step; ``None`` if the step has no sweep.
+
+    ``lidar_pc`` is ``float32 [6, N]``: x, y, z in meters in the ego frame, intensity, ring, device. Raises ``PlannerError`` for a file
+    that is not as ``pskel simulate --lidar`` writes it.
+    """
+    paths = {Path(file).name: Path(file) for file in files}
+    path = next((paths[name] for name in SWEEPS if name in paths), None)
+    if path is None:
+        return None
+    try:
+        points = SWEEPS[path.name](path.read_bytes())
+    except (OSError, ValueError, IndexError) as error:
+        raise PlannerError(f"expected the points of a sweep in {path}, found {error}") from None
+    return {"lidar_pc": np.ascontiguousarray(points.T), "lidar_path": path}
+
+
+def _bin(data: bytes) -> Any:
+    points = np.frombuffer(data, "<f4").reshape(-1, 5)
+    return np.column_stack([points, np.zeros(len(points), np.float32)])
+
+
+def _npy(data: bytes) -> Any:
+    return np.load(BytesIO(data), allow_pickle=False)[:, :6]
+
+
+def _pcd(data: bytes) -> Any:
+    row = np.dtype({"names": ["points", "ring", "device"], "formats": ["(4,)<f4", "<u2", "u1"], "offsets": [0, 16, 18], "itemsize": 28})
+    rows = np.frombuffer(data[data.index(PCD_DATA) + len(PCD_DATA) :], row)
+    return np.column_stack([rows["points"], rows["ring"], rows["device"]]).astype(np.float32)
+
+
+#: Files of sweeps, each with how it is read: ``float32 [N, 6]``, x, y, z, intensity, ring, device.
+SWEEPS = {"lidar.pcd.bin": _bin, "lidar.npy": _npy, "lidar.pcd": _pcd}
+
+
+def pcd(points: Any) -> bytes:
+    """Return points ``float32 [6, N]`` as a PCD file of nuPlan: x y z intensity lidar_info ring.
+
+    Raises ``PlannerError`` for rings above 255.
+    """
+    if points.shape[1] and points[4].max() > 255:
+        raise PlannerError(f"expected at most 256 rings, as nuPlan's files have, found ring {points[4].max():g}")
+    row = np.dtype([("xyz", "<f4", 3), ("intensity", "u1"), ("device", "u1"), ("ring", "u1")])
+    rows = np.zeros(points.shape[1], row)
+    rows["xyz"], rows["intensity"], rows["ring"], rows["device"] = points[:3].T, points[3], points[4], points[5]
+    fields = "FIELDS x y z intensity lidar_info ring\nSIZE 4 4 4 1 1 1\nTYPE F F F U U U\nCOUNT 1 1 1 1 1 1\n"
+    size = f"WIDTH {len(rows)}\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS {len(rows)}\n"
+    return f"# .PCD v0.7 - Point Cloud Data file format\nVERSION 0.7\n{fields}{size}".encode() + PCD_DATA + rows.tobytes()
 
 
 def image_path(step: Path, channel: str, kind: str) -> Path:

@@ -34,7 +34,7 @@ class Cameras:
 
 @dataclass
 class Lidar:
-    """Always empty."""
+    """Points ``float32 [6, N]`` in the ego frame: x, y, z, intensity, ring, device; empty without ``--lidar``."""
 
     lidar_pc: Any = None
     lidar_path: Any = None

@@ -19,7 +19,7 @@ try:
 except ImportError as error:
     raise ImportError("pskel.gym needs gymnasium: pip install 'pskel[gym]'") from error
 
-from . import Log, Renderer, Simulation, Skeleton
+from . import Log, Renderer, Simulation, Skeleton, lidar_spec
 from ._arrays import numbers
 
 __all__ = ["ACTORS", "ROUTE", "DriveEnv", "make_vector"]
@@ -50,7 +50,9 @@ class DriveEnv(gymnasium.Env[_Observation, npt.NDArray[np.float32]]):
     - ``images`` ``uint8 [V, H, W, 3]``: color maps of all cameras,
     - ``ego`` ``float32 [4]``: speed, acceleration, yaw rate, steering angle,
     - ``route`` ``float32 [20, 2]``: points of the recorded path ahead, 5 m apart; the last one repeats at its end,
-    - ``actors`` ``float32 [32, 7]``: x, y, heading, length, width, speed, 1; rows of zeros after the last.
+    - ``actors`` ``float32 [32, 7]``: x, y, heading, length, width, speed, 1; rows of zeros after the last,
+    - with ``lidar``, a preset or a JSON file, ``lidar`` ``float32 [N, 6]``: x, y, z, intensity (0), ring, 1 of each return of
+      ``N`` rays; rows of zeros after the last. Devices without a mount are where the log's LiDAR is.
 
     Action: ``float32 [8, 3]`` waypoints (x, y, heading every 0.5 s, at most 40 m/s), or with ``action="controls"``
     ``float32 [2]``: acceleration (-6 to 3 m/s²) and steering angle (-0.6 to 0.6) of a kinematic bicycle.
@@ -72,6 +74,7 @@ class DriveEnv(gymnasium.Env[_Observation, npt.NDArray[np.float32]]):
         actors: str = "reactive",
         action: str = "waypoints",
         rasterizer: str = "auto",
+        lidar: str | None = None,
         render_mode: str | None = None,
     ) -> None:
         if action not in ("waypoints", "controls"):
@@ -91,12 +94,14 @@ class DriveEnv(gymnasium.Env[_Observation, npt.NDArray[np.float32]]):
         self._seen: dict[str, Any] = {}
         self._images: npt.NDArray[np.uint8] | None = None
         cameras, (height, width) = len(self._log[0].cameras), size
+        self._lidar, self._rays = lidar, _rays(lidar)
         space: Any = spaces.Dict(
             {
                 "images": spaces.Box(0, 255, (cameras, height, width, 3), np.uint8),
                 "ego": spaces.Box(-np.inf, np.inf, (4,), np.float32),
                 "route": spaces.Box(-np.inf, np.inf, (ROUTE, 2), np.float32),
                 "actors": spaces.Box(-np.inf, np.inf, (ACTORS, 7), np.float32),
+                **({"lidar": spaces.Box(-np.inf, np.inf, (self._rays, 6), np.float32)} if lidar else {}),
             }
         )
         self.observation_space = space
@@ -162,7 +167,17 @@ class DriveEnv(gymnasium.Env[_Observation, npt.NDArray[np.float32]]):
             "ego": np.array([ego["v"], ego["a"], ego["yaw_rate"], ego["steering"]], np.float32),
             "route": _route(self._seen["path"], ego),
             "actors": _actors(self._seen["actors"], ego),
+            **({"lidar": self._sweep(simulation)} if self._lidar else {}),
         }
+
+    def _sweep(self, simulation: Simulation) -> npt.NDArray[np.float32]:
+        assert self._lidar is not None
+        at = self._log.lidar_position
+        sweep = self._renderer.lidar(simulation.scene, self._lidar, other=simulation.previous, position=at)
+        count = len(sweep["points"])
+        returns = np.zeros((self._rays, 6), np.float32)
+        returns[:count] = np.column_stack([sweep["points"], sweep["intensity"], sweep["ring"], np.ones(count)])
+        return returns
 
     def _info(self, simulation: Simulation) -> dict[str, Any]:
         return {"metrics": simulation.metrics, "index": simulation.index}
@@ -171,6 +186,11 @@ class DriveEnv(gymnasium.Env[_Observation, npt.NDArray[np.float32]]):
 def make_vector(num_envs: int = 1, **options: Any) -> SyncVectorEnv:
     """Create environments that step one after the other; they share one device and one log."""
     return SyncVectorEnv([lambda: DriveEnv(**options)] * num_envs)
+
+
+def _rays(lidar: str | None) -> int:
+    devices = lidar_spec(lidar)["devices"] if lidar else []
+    return sum(len(device["elevations_deg"]) * device["columns"] for device in devices)
 
 
 @lru_cache(maxsize=4)

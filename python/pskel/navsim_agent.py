@@ -17,7 +17,7 @@ import numpy as np
 
 from pskel import _navsim_types, _planner
 from pskel._arrays import numbers
-from pskel._navsim import CAMERAS, FRAME_S, FRAMES, IMAGES_HELP, camera, driving_command, ego_status, relative
+from pskel._navsim import CAMERAS, FRAME_S, FRAMES, IMAGES_HELP, camera, driving_command, ego_status, lidar, relative
 from pskel._planner import Message, PlannerError
 
 #: Horizon and interval of a trajectory that has no ``trajectory_sampling``, seconds.
@@ -77,13 +77,20 @@ class Bridge:
             pose = relative(status["ego_pose"], now)
             statuses.append(self._types.EgoStatus(**{**status, "ego_pose": pose, "in_global_frame": False}))
             cameras.append(self._cameras(state, index))
-        return self._types.AgentInput(statuses, cameras, [self._types.Lidar() for _ in frames])
+        return self._types.AgentInput(statuses, cameras, [self._lidar(state, index) for index, state in enumerate(frames)])
+
+    def _wanted(self, index: int) -> set[str]:
+        """Return the sensors of a frame that the agent asks for: by default all."""
+        return {*CAMERAS, "lidar_pc"} if self._sensors is None else set(self._sensors.get_sensors_at_iteration(index))
+
+    def _lidar(self, state: Message, index: int) -> Any:
+        """Return the sweep of a frame, if the agent asks for it and the rollout has one."""
+        found = lidar(state["files"]) if "lidar_pc" in self._wanted(index) else None
+        return self._types.Lidar(**found) if found else self._types.Lidar()
 
     def _cameras(self, state: Message, index: int) -> Any:
         """Return the cameras of a frame that the agent asks for."""
-        wanted = set(CAMERAS)
-        if self._sensors is not None:
-            wanted &= set(self._sensors.get_sensors_at_iteration(index))
+        wanted = self._wanted(index) & set(CAMERAS)
         made = {}
         for name in CAMERAS:
             found = camera(state["files"], name, self._images) if name in wanted else None

@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from pskel._navsim import CAMERAS, FRAME_S, FRAMES, IMAGES_HELP, camera, driving_command, ego_status, relative
+from pskel._navsim import CAMERAS, FRAME_S, FRAMES, IMAGES_HELP, SWEEPS, camera, driving_command, ego_status, lidar, pcd, relative
 from pskel._planner import Message, PlannerError
 from pskel.nuplan_planner import kind_of, light_ids, lights, tracks
 
@@ -53,8 +53,9 @@ class Rollout:
         return round(steps)
 
     def files(self, step: int) -> list[str]:
-        """Return a planner's files for a step: here only its metadata, which locates the images."""
-        return [str(self.folder / "steps" / f"{step:06}" / "meta.json")]
+        """Return a planner's files for a step: its metadata, which locates the images, and its LiDAR sweep."""
+        folder = self.folder / "steps" / f"{step:06}"
+        return [str(folder / "meta.json"), *(str(folder / name) for name in SWEEPS if (folder / name).exists())]
 
 
 def write(rollout: Rollout, step: int, out: Path, options: argparse.Namespace) -> Path:
@@ -119,9 +120,19 @@ def _frame(rollout: Rollout, state: Message, blobs: Path, images: str) -> Messag
         "traffic_lights": [(number, light["color"] == "red") for number, light in zip(light_ids(state), state["lights"])],
         "annotations": _annotations(state),
         "ego_status": ego_status(state["ego"], driving_command(state)),
-        "lidar_path": None,
+        "lidar_path": _sweep(rollout, state, blobs),
         "camera_dict": cameras,
     }
+
+
+def _sweep(rollout: Rollout, state: Message, blobs: Path) -> Path | None:
+    """Write the LiDAR sweep of a frame, if the rollout has one; returns its file below the folder of images."""
+    found = lidar(rollout.files(state["step"]))
+    if found is None:
+        return None
+    relative_path = Path(rollout.record["log"], "MergedPointCloud", f"{_token(rollout, state)}.pcd")
+    _write(blobs / relative_path, pcd(found["lidar_pc"]))
+    return relative_path
 
 
 def _annotations(state: Message) -> Message:

@@ -52,6 +52,8 @@ mod _pskel {
     #[pymodule_export]
     use crate::log::{Log, Scenes};
     #[pymodule_export]
+    use crate::maps::lidar::lidar_spec;
+    #[pymodule_export]
     use crate::renderer::{Frames, Renderer};
     #[pymodule_export]
     use crate::scene::{Actor, Camera, Scene};

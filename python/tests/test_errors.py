@@ -247,7 +247,7 @@ else:
 
 
 IMAGES = "log.images(log[0], (28, 50))"
-BUILD = "pskel.build(log, 'built')"
+BUILD = "pskel.build(log, 'built', frames=(0, 1))"
 
 
 @pytest.mark.parametrize(
@@ -303,7 +303,7 @@ class Progress:
     def start(self, stage, steps): print(stage, steps, flush=True)
     def step(self): print("step", flush=True)
 try:
-    pskel.build(pskel.Log("{TOWN.replace("frames=4", "frames=60")}"), {str(tmp_path / "out")!r}, progress=Progress())
+    pskel.build(pskel.Log("{TOWN.replace("frames=4,size=113x200", "frames=20,size=28x50")}"), {str(tmp_path / "out")!r}, progress=Progress())
 except KeyboardInterrupt:
     print("interrupted")
     sys.exit(5)

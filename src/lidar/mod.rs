@@ -37,4 +37,4 @@ pub use solids::SolidError;
 pub(crate) use solids::Solids;
 pub use spec::{LidarDevice, LidarSpec, MAX_ELEVATION_DEG, MAX_RAYS, Mount};
 pub use sweep::{LidarReturn, LidarSweep, RangeImage};
-pub use write::LidarFormat;
+pub use write::{LidarFormat, LidarNumber};

@@ -21,6 +21,8 @@ pub enum Preset {
     Pandar64,
     /// Hesai Pandar128 at 10 Hz.
     Pandar128,
+    /// Hesai AT128 at 10 Hz, which looks forward.
+    At128,
     /// Two VLP-32C at 10 Hz, the lower one upside down, as on Argoverse 2's cars.
     Av2,
     /// Five merged devices at 20 Hz in the manner of nuPlan's cars.
@@ -32,6 +34,7 @@ named!(Preset, "LiDAR" {
     Vlp32c => "vlp-32c", "Velodyne VLP-32C at 10 Hz: 32 beams, 1800 columns";
     Pandar64 => "pandar64", "Hesai Pandar64 at 10 Hz, as on PandaSet's cars: 64 beams, 1800 columns";
     Pandar128 => "pandar128", "Hesai Pandar128 at 10 Hz: 128 beams, 1800 columns";
+    At128 => "at128", "Hesai AT128 at 10 Hz: 128 beams, 1200 columns, 120 degrees ahead";
     Av2 => "av2", "Two VLP-32C at 10 Hz, one upside down, as on Argoverse 2's cars";
     Nuplan => "nuplan", "Five merged devices at 20 Hz in the manner of nuPlan's cars";
 });
@@ -95,6 +98,7 @@ impl Preset {
             Self::Vlp32c => vec![device("LIDAR_TOP", VLP_32C_DEG.to_vec(), 1800, [1.0, 200.0], 0.1)],
             Self::Pandar64 => vec![device("LIDAR_TOP", PANDAR_64_DEG.to_vec(), 1800, [0.3, 200.0], 0.1)],
             Self::Pandar128 => vec![device("LIDAR_TOP", PANDAR_128_DEG.to_vec(), 1800, [0.3, 200.0], 0.1)],
+            Self::At128 => vec![at128()],
             Self::Av2 => av2(),
             Self::Nuplan => nuplan(),
         };
@@ -127,6 +131,13 @@ fn device(
 /// 32 beams every 4/3 degree, the highest at 10.67.
 fn hdl_32e() -> Vec<f64> {
     (0..32).map(|beam| (f64::from(beam) * 4.0 - 92.0) / 3.0).collect()
+}
+
+/// 128 beams every 0.2 degree, and columns every 0.1 degree.
+fn at128() -> LidarDevice {
+    let elevations = (0..128).map(|beam| f64::from(beam) / 5.0 - 12.5).collect();
+    let ahead = device("LIDAR_FRONT", elevations, 1200, [0.5, 200.0], 0.1);
+    LidarDevice { azimuth_deg: [60.0, -60.0], ..ahead }
 }
 
 /// The sweep has the time stamp of its first return; both devices turn half a turn apart.
@@ -167,7 +178,7 @@ mod tests {
     #[test]
     fn presets_are_valid_and_their_beams_rise() {
         let beams = Preset::ALL.map(|preset| preset.spec().beams());
-        assert_eq!(beams, [32, 32, 64, 128, 64, 120]);
+        assert_eq!(beams, [32, 32, 64, 128, 128, 64, 120]);
         for preset in Preset::ALL {
             let spec = preset.spec();
             assert_eq!(spec.fault(), None, "{preset}");

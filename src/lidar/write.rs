@@ -20,6 +20,28 @@ const SHOWN_M: f32 = 80.0;
 const HEIGHT: usize = 128;
 /// Columns of an NPY file.
 const NPY_COLUMNS: usize = 9;
+/// End of the header of a PCD file.
+const PCD_DATA: &str = "DATA binary\n";
+
+/// Type of the numbers in a column.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum LidarNumber {
+    U8,
+    U16,
+    U32,
+    F32,
+}
+
+impl LidarNumber {
+    /// Returns the size in bytes.
+    pub fn bytes(self) -> usize {
+        match self {
+            Self::U8 => 1,
+            Self::U16 => 2,
+            Self::U32 | Self::F32 => 4,
+        }
+    }
+}
 
 /// File format of the points of a sweep.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -48,6 +70,32 @@ impl LidarFormat {
             Self::Pcd => "lidar.pcd",
             Self::Npy => "lidar.npy",
         }
+    }
+
+    /// Returns the columns of the points, in the order of their bytes.
+    pub fn columns(self) -> Vec<(&'static str, LidarNumber)> {
+        use LidarNumber::{F32, U8, U16, U32};
+        let point = ["x", "y", "z", "intensity"].map(|name| (name, F32));
+        let more = ["ring", "device", "class", "instance", "time"];
+        let types = match self {
+            Self::Bin => &[F32] as &[_],
+            Self::Pcd => &[U16, U8, U8, U32, F32],
+            Self::Npy => &[F32; 5],
+        };
+        point.into_iter().chain(more.into_iter().zip(types.iter().copied())).collect()
+    }
+
+    /// Returns the rows of an encoded file, without its header; `None` if it is no file of this format.
+    pub fn rows(self, file: &[u8]) -> Option<&[u8]> {
+        let data = PCD_DATA.as_bytes();
+        let begin = match self {
+            Self::Bin => 0,
+            Self::Pcd => file.windows(data.len()).position(|window| window == data)? + data.len(),
+            Self::Npy => 10 + usize::from(u16::from_le_bytes([*file.get(8)?, *file.get(9)?])),
+        };
+        let rows = file.get(begin..)?;
+        let row: usize = self.columns().iter().map(|(_, number)| number.bytes()).sum();
+        rows.len().is_multiple_of(row).then_some(rows)
     }
 
     /// Encodes the points of a sweep.
@@ -85,10 +133,17 @@ fn npy_row(r: &LidarReturn) -> [f32; NPY_COLUMNS] {
 }
 
 fn pcd_header(points: usize) -> String {
+    let columns = LidarFormat::Pcd.columns();
+    let all = |text: &dyn Fn(&(&str, LidarNumber)) -> String| {
+        columns.iter().map(text).collect::<Vec<_>>().join(" ")
+    };
+    let fields = all(&|(name, _)| (*name).to_owned());
+    let sizes = all(&|(_, number)| number.bytes().to_string());
+    let types = all(&|(_, number)| if *number == LidarNumber::F32 { "F" } else { "U" }.to_owned());
+    let counts = all(&|_| "1".to_owned());
     format!(
-        "# .PCD v0.7\nVERSION 0.7\nFIELDS x y z intensity ring device class instance time\n\
-         SIZE 4 4 4 4 2 1 1 4 4\nTYPE F F F F U U U U F\nCOUNT 1 1 1 1 1 1 1 1 1\nWIDTH {points}\nHEIGHT 1\n\
-         VIEWPOINT 0 0 0 1 0 0 0\nPOINTS {points}\nDATA binary\n"
+        "# .PCD v0.7\nVERSION 0.7\nFIELDS {fields}\nSIZE {sizes}\nTYPE {types}\nCOUNT {counts}\n\
+         WIDTH {points}\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS {points}\n{PCD_DATA}"
     )
 }
 
@@ -221,6 +276,21 @@ mod tests {
         assert_eq!(npyz::NpyFile::new(npy.as_slice()).unwrap().shape(), [1, 9]);
         let row = [1.0_f32, 2.0, 3.0, 0.0, 1.0, 0.0, 1.0, 70_000.0, -0.05];
         assert!(npy.ends_with(row.map(f32::to_le_bytes).as_flattened()));
+        let pcd = LidarFormat::Pcd.encode(&sweep).unwrap();
+        let header = "FIELDS x y z intensity ring device class instance time\nSIZE 4 4 4 4 2 1 1 4 4\n\
+            TYPE F F F F U U U U F\nCOUNT 1 1 1 1 1 1 1 1 1\n";
+        assert!(String::from_utf8_lossy(&pcd).contains(header));
+    }
+
+    #[test]
+    fn rows_follow_the_header() {
+        for (format, bytes) in [(LidarFormat::Bin, 20), (LidarFormat::Pcd, 28), (LidarFormat::Npy, 36)] {
+            let file = format.encode(&sweep()).unwrap();
+            let rows = format.rows(&file).unwrap();
+            assert_eq!((rows.len(), &rows[..4]), (bytes, &1.0_f32.to_le_bytes()[..]), "{format:?}");
+            assert!(file.ends_with(rows));
+            assert_eq!(format.rows(&file[..file.len() - 1]), None, "{format:?}");
+        }
     }
 
     /// The project's own reader reads the files.

@@ -3,13 +3,15 @@
 use foxglove::messages::log::Level;
 use foxglove::messages::{
     CameraCalibration, Color, CompressedImage, CubePrimitive, Duration, FrameTransform, FrameTransforms,
-    KeyValuePair, LinePrimitive, Log, Point3, Pose, Quaternion, SceneEntity, SceneEntityDeletion,
-    SceneUpdate, Timestamp, Vector3, line_primitive, scene_entity_deletion,
+    KeyValuePair, LinePrimitive, Log, PackedElementField, Point3, PointCloud, Pose, Quaternion, SceneEntity,
+    SceneEntityDeletion, SceneUpdate, Timestamp, Vector3, line_primitive, packed_element_field,
+    scene_entity_deletion,
 };
 use glam::{DQuat, DVec3};
 use point_skeleton::conditions::ImageSize;
 use point_skeleton::dataset::layout_rgb;
 use point_skeleton::geometry::{Camera, Cuboid};
+use point_skeleton::lidar::LidarNumber;
 use point_skeleton::scene::{ActorState, SceneState};
 
 const MAP: &str = "map";
@@ -128,6 +130,33 @@ pub(super) fn line(
     };
     let entity = SceneEntity { lines: vec![line], ..entity(MAP, name, time) };
     SceneUpdate { deletions: Vec::new(), entities: vec![entity] }
+}
+
+/// Returns points in the ego frame: rows of columns, one after the other.
+pub(super) fn points(columns: &[(&str, LidarNumber)], rows: Vec<u8>, time: Timestamp) -> PointCloud {
+    use packed_element_field::NumericType;
+    let mut stride = 0;
+    let field = |(name, number): &(&str, LidarNumber)| {
+        let offset = stride;
+        stride += number.bytes() as u32;
+        let number = match number {
+            LidarNumber::U8 => NumericType::Uint8,
+            LidarNumber::U16 => NumericType::Uint16,
+            LidarNumber::U32 => NumericType::Uint32,
+            LidarNumber::F32 => NumericType::Float32,
+        };
+        PackedElementField { name: (*name).to_owned(), offset, r#type: number.into() }
+    };
+    let fields = columns.iter().map(field).collect();
+    let pose = Pose { position: Some(vector(DVec3::ZERO)), orientation: Some(quaternion(DQuat::IDENTITY)) };
+    PointCloud {
+        timestamp: Some(time),
+        frame_id: EGO.to_owned(),
+        pose: Some(pose),
+        point_stride: stride,
+        fields,
+        data: rows.into(),
+    }
 }
 
 /// Returns an entity without content. It lasts until it is replaced or deleted.

@@ -9,6 +9,7 @@ use point_skeleton::conditions::ImageSize;
 use point_skeleton::dataset::{Frame, Recording};
 use point_skeleton::error::FileError;
 use point_skeleton::geometry::{Camera, Cuboid};
+use point_skeleton::lidar::LidarNumber;
 use point_skeleton::scene::SceneState;
 
 use crate::file::LogFile;
@@ -147,6 +148,19 @@ impl<W: Write> SceneFile<W> {
     ) -> Result<(), FileError> {
         let line = messages::line(name, points, self.origin, rgb, time);
         self.file.write(&format!("/{name}"), time, &line)
+    }
+
+    /// Writes points in the ego frame to `/lidar`: rows of columns, one after the other.
+    ///
+    /// # Errors
+    /// See [`Self::begin`].
+    pub fn write_points(
+        &mut self,
+        columns: &[(&str, LidarNumber)],
+        rows: Vec<u8>,
+        time: Timestamp,
+    ) -> Result<(), FileError> {
+        self.file.write("/lidar", time, &messages::points(columns, rows, time))
     }
 
     /// Writes the index and returns the file.

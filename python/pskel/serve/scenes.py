@@ -27,6 +27,15 @@ class RigCamera:
     ego_from_camera: Matrix
 
 
+@dataclass(frozen=True)
+class Instant:
+    """A time of a LiDAR sweep: microseconds, the pose of the device ``[4, 4]``, and the actors."""
+
+    t_us: int
+    device: Matrix
+    actors: Sequence[pskel.Actor]
+
+
 class Scene:
     """An open scene. Its methods may be called from any thread."""
 
@@ -64,6 +73,11 @@ class Scene:
             for number, (projection, pose) in enumerate(views)
         ]
         return self.renderer.render(pskel.Scene(ego, cameras, actors))
+
+    def sweep(self, spec: str, start: Instant, end: Instant) -> pskel.LidarSweep:
+        """Render a LiDAR sweep from its start to its end, in the frame of the device at its end."""
+        before, now = (pskel.Scene(at.device, [], at.actors, t_us=at.t_us) for at in (start, end))
+        return self.renderer.lidar(now, spec, other=before, position=(0.0, 0.0, 0.0))
 
 
 class Scenes:

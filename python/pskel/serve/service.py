@@ -17,7 +17,7 @@ from pskel.alpasim import common_pb2, poses, sensorsim_pb2, sensorsim_pb2_grpc, 
 from pskel.alpasim.pinhole import pinhole
 from pskel.alpasim.poses import Matrix
 
-from . import cameras, images
+from . import cameras, images, lidar, pairs
 from .cameras import MAX_PIXELS, Projection
 from .errors import RequestError, answered, invalid, unknown
 from .messages import MAX_MESSAGE, sized, version
@@ -29,6 +29,8 @@ Request = sensorsim_pb2.RGBRenderRequest
 MAX_IMAGES = 256
 #: Time for the calls in progress when the server stops, seconds.
 GRACE_S = 5.0
+#: Largest number of LiDAR sweeps in a request.
+MAX_SWEEPS = 8
 
 
 @dataclass(frozen=True)
@@ -106,12 +108,17 @@ class Service(sensorsim_pb2_grpc.SensorsimServiceServicer):
         self, request: sensorsim_pb2.AggregatedRenderRequest, context: Any
     ) -> sensorsim_pb2.AggregatedRenderReturn:
         def answer() -> sensorsim_pb2.AggregatedRenderReturn:
-            if request.lidar_requests:
-                raise RequestError(grpc.StatusCode.UNIMPLEMENTED, "expected no lidar_requests, found some")
+            if len(request.lidar_requests) > MAX_SWEEPS:
+                text = f"expected at most {MAX_SWEEPS} lidar_requests, found {len(request.lidar_requests)}"
+                raise RequestError(grpc.StatusCode.RESOURCE_EXHAUSTED, text)
+            swept = [lidar.swept(self._scenes, each) for each in request.lidar_requests]
             made = self._all(request.rgb_requests, context)
-            return sized(sensorsim_pb2.AggregatedRenderReturn(rgb_returns=made))
+            return sized(sensorsim_pb2.AggregatedRenderReturn(rgb_returns=made, lidar_returns=swept))
 
         return answered(context, answer)
+
+    def render_lidar(self, request: sensorsim_pb2.LidarRenderRequest, context: Any) -> sensorsim_pb2.LidarRenderReturn:
+        return answered(context, lambda: lidar.swept(self._scenes, request))
 
     def batch_render_rgb(
         self, request: sensorsim_pb2.BatchRGBRenderRequest, context: Any
@@ -197,13 +204,8 @@ def _encoded(shot: Shot, image: NDArray[np.uint8]) -> bytes:
 
 def _actors(scene: Scene, request: Request, t_us: int) -> tuple[pskel.Actor, ...]:
     """Return the tracks of a request at their poses. Raises ``RequestError``."""
-    boxes: dict[str, pskel.Actor] = {}
-    for item in request.dynamic_objects:
-        if item.track_id in boxes:
-            raise invalid("each track once", f"two of {item.track_id!r}")
-        box = _pose(f"pose_pair of track {item.track_id!r}", item.pose_pair, scene.origin)
-        boxes[item.track_id] = scene.actor(item.track_id, t_us, box)
-    return tuple(boxes.values())
+    tracks = pairs.tracks(request.dynamic_objects, scene.origin)
+    return tuple(scene.actor(track, t_us, poses.mean(start, end)) for track, (start, end) in tracks.items())
 
 
 def _spec(scene: Scene, request: Request) -> tuple[sensorsim_pb2.CameraSpec, RigCamera | None]:
@@ -219,12 +221,7 @@ def _spec(scene: Scene, request: Request) -> tuple[sensorsim_pb2.CameraSpec, Rig
 
 def _pose(name: str, pair: sensorsim_pb2.PosePair, origin: Matrix) -> Matrix:
     """Return the mean of the poses at start and end, global. Raises ``RequestError``."""
-    try:
-        start = poses.matrix(pair.start_pose, origin)
-        end = poses.matrix(pair.end_pose, origin) if pair.HasField("end_pose") else start
-    except ValueError as error:
-        raise RequestError(grpc.StatusCode.INVALID_ARGUMENT, f"{name}: {error}") from None
-    return poses.mean(start, end)
+    return poses.mean(*pairs.both(name, pair, origin))
 
 
 def _described(name: str, camera: RigCamera) -> sensorsim_pb2.AvailableCamerasReturn.AvailableCamera:

@@ -155,6 +155,12 @@ impl Log {
         &self.inner.recording().location
     }
 
+    /// Where the log's LiDAR is on the ego: x, y, z in meters; `None` for a log without sweeps.
+    #[getter]
+    fn lidar_position(&self) -> Option<(f64, f64, f64)> {
+        self.inner.recording().lidar_position_m().map(Into::into)
+    }
+
     /// Identifiers of the recorded images within the data set, by camera, for each key frame.
     #[getter]
     fn image_tokens(&self) -> Vec<BTreeMap<String, String>> {

@@ -5,7 +5,7 @@ use point_skeleton::lidar::{LidarReturn, LidarSpec, LidarSweep};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyList};
 
-use crate::error::invalid;
+use crate::error::{LogError, invalid};
 
 /// Reads the name of a LiDAR: a preset, or a JSON file. `position` is where devices without a mount are,
 /// meters in the ego frame.
@@ -22,6 +22,17 @@ pub(crate) fn spec(name: &str, position: Option<[f64; 3]>) -> PyResult<LidarSpec
         ))),
         None => Ok(spec),
     }
+}
+
+/// Returns the description of a LiDAR by name, a preset or a JSON file: a dictionary with `devices`, each with
+/// `name`, `elevations_deg`, `columns`, `range_m`, .., and `seed`, as in the files (docs/src/guide/lidar.md).
+///
+/// Raises `ValueError` for an unknown name or an invalid file.
+#[pyfunction]
+pub(crate) fn lidar_spec<'py>(py: Python<'py>, name: &str) -> PyResult<Bound<'py, PyAny>> {
+    let spec = LidarSpec::named(name).map_err(invalid)?;
+    let text = serde_json::to_string(&spec).map_err(|error| LogError::new_err(error.to_string()))?;
+    py.import("json")?.call_method1("loads", (text,))
 }
 
 /// Returns the arrays of a sweep: points `[N, 3]` `float32`, intensity, ring, device, class, instance and

@@ -43,8 +43,27 @@ pub(crate) struct Simulation {
 
 struct State {
     owned: Owned,
+    progress: Progress,
+}
+
+#[derive(Default)]
+struct Progress {
     /// Whether the iteration has begun.
     begun: bool,
+    /// The step before the committed one.
+    previous: Option<Instant>,
+}
+
+impl Progress {
+    /// Computes and commits the next step; `false` once the simulation is over.
+    fn step(&mut self, simulation: &mut Borrowing<'_>) -> PyResult<bool> {
+        let now = simulation.committed().get().clone();
+        let stepped = simulation.step().map_err(raise_sim)?.is_some();
+        if stepped {
+            self.previous = Some(now);
+        }
+        Ok(stepped)
+    }
 }
 
 #[pymethods]
@@ -71,7 +90,7 @@ impl Simulation {
             .map_err(raise_sim)
         };
         let owned = detached(py, start)?;
-        Ok(Self { state: Mutex::new(State { owned, begun: false }) })
+        Ok(Self { state: Mutex::new(State { owned, progress: Progress::default() }) })
     }
 
     /// Number of the committed step.
@@ -84,6 +103,17 @@ impl Simulation {
     #[getter]
     fn scene(&self, py: Python<'_>) -> PyResult<Scene> {
         self.read(py, |simulation, log| Ok(scene(log, simulation.committed().get())))
+    }
+
+    /// The scene of the step before the committed one: ego and actors move through both while a LiDAR turns.
+    /// `None` at the first step, also of a resumed simulation.
+    #[getter]
+    fn previous(&self, py: Python<'_>) -> PyResult<Option<Scene>> {
+        detached(py, || {
+            let State { owned, progress } = &*self.lock();
+            let log = owned.borrow_owner();
+            Ok(progress.previous.as_ref().map(|instant| scene(log, instant)))
+        })
     }
 
     /// The committed scene, as a value of the past.
@@ -175,7 +205,7 @@ impl Simulation {
         if let Some(value) = view.iter().find(|value| !value.is_finite()) {
             return Err(PyValueError::new_err(format!("expected finite waypoints, found {value}")));
         }
-        self.change(py, |simulation, _, _| {
+        self.change(py, |simulation, _| {
             let at = simulation.committed().get().ego.position_m();
             let from = if frame == "ego" { [0.0, 0.0] } else { at.to_array() };
             let answer = json(&Answer { frame, trajectory: points(&view, from, dt) })?;
@@ -186,7 +216,7 @@ impl Simulation {
     /// Computes and commits the next step. Returns `False` once the simulation is over. Raises
     /// `SimulationError` if a plan is missing.
     fn step(&self, py: Python<'_>) -> PyResult<bool> {
-        self.change(py, |simulation, _, _| Ok(simulation.step().map_err(raise_sim)?.is_some()))
+        self.change(py, |simulation, progress| progress.step(simulation))
     }
 
     fn __repr__(&self, py: Python<'_>) -> PyResult<String> {
@@ -205,15 +235,15 @@ impl Simulation {
     }
 
     fn __next__<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyAny>>> {
-        let text = self.change(py, |simulation, _, begun| {
+        let text = self.change(py, |simulation, progress| {
             let plans = |simulation: &Borrowing<'_>| {
                 let step = simulation.committed().get().step;
                 step >= simulation.takeover_step() && step.is_multiple_of(simulation.steps_per_plan())
             };
-            if !std::mem::replace(begun, true) && plans(simulation) && !simulation.is_done() {
+            if !std::mem::replace(&mut progress.begun, true) && plans(simulation) && !simulation.is_done() {
                 return json(&simulation.observation()).map(Some);
             }
-            while simulation.step().map_err(raise_sim)?.is_some() {
+            while progress.step(simulation)? {
                 if plans(simulation) && !simulation.is_done() {
                     return json(&simulation.observation()).map(Some);
                 }
@@ -256,11 +286,11 @@ impl Simulation {
     fn change<T: Send>(
         &self,
         py: Python<'_>,
-        call: impl FnOnce(&mut Borrowing<'_>, &point_skeleton::Log, &mut bool) -> PyResult<T> + Send,
+        call: impl FnOnce(&mut Borrowing<'_>, &mut Progress) -> PyResult<T> + Send,
     ) -> PyResult<T> {
         detached(py, || {
-            let State { owned, begun } = &mut *self.lock();
-            owned.with_dependent_mut(|log, simulation| call(simulation, log, begun))
+            let State { owned, progress } = &mut *self.lock();
+            owned.with_dependent_mut(|_, simulation| call(simulation, progress))
         })
     }
 }

@@ -9,10 +9,10 @@ import numpy as np
 
 
 class Sensors:
-    """Asks for the front camera in all frames, and for the rear one in the last."""
+    """Asks for the front camera in all frames, and for the rear one and the LiDAR in the last."""
 
     def get_sensors_at_iteration(self, iteration: int) -> list[str]:
-        return ["cam_f0", "cam_b0"] if iteration == 3 else ["cam_f0"]
+        return ["cam_f0", "cam_b0", "lidar_pc"] if iteration == 3 else ["cam_f0"]
 
 
 class Straight:
@@ -41,6 +41,9 @@ class Straight:
                     arrays[f"{name}.{index}.rotation"] = camera.sensor2lidar_rotation
                     arrays[f"{name}.{index}.translation"] = camera.sensor2lidar_translation
                     arrays[f"{name}.{index}.intrinsics"] = camera.intrinsics
+        for index, lidar in enumerate(agent_input.lidars):
+            if lidar.lidar_pc is not None:
+                arrays[f"lidar.{index}"] = lidar.lidar_pc
         np.savez(self._seen / f"{self._calls:03}.npz", **arrays)
         (self._seen / "types.json").write_text(json.dumps([type(agent_input).__module__, len(agent_input.lidars)]))
         self._calls += 1

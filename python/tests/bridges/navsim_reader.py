@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from nuplan.database.utils.pointclouds.lidar import LidarPointCloud
 from nuplan.common.maps.maps_datatypes import TrafficLightStatuses
 from nuplan.planning.simulation.observation.observation_type import DetectionsTracks
 
@@ -21,7 +22,10 @@ def _tracks(tracks: Any) -> list[Any]:
 def main(scene_path: Path, blobs: Path) -> dict[str, Any]:
     scene = pickle.loads(scene_path.read_bytes())
     assert all(isinstance(lights, TrafficLightStatuses) for lights in scene["extended_traffic_light_data"])
+    with (blobs / scene["frames"][-1]["lidar_path"]).open("rb") as file:
+        points = LidarPointCloud.from_buffer(file, "pcd").points
     found: dict[str, Any] = {"future": [_tracks(tracks) for tracks in scene["extended_detections_tracks"]]}
+    found["points"] = {"shape": list(points.shape), "sum": [float(row.sum(dtype=float)) for row in points]}
     try:
         from navsim.common.dataclasses import Scene, SensorConfig
     except ImportError:
@@ -29,7 +33,7 @@ def main(scene_path: Path, blobs: Path) -> dict[str, Any]:
     from navsim.planning.scenario_builder.navsim_scenario import NavSimScenario
 
     Scene._build_map_api = classmethod(lambda cls, name: None)
-    cameras = {name: name in ("cam_f0", "cam_b0") for name in vars(SensorConfig.build_no_sensors())}
+    cameras = {name: name in ("cam_f0", "cam_b0", "lidar_pc") for name in vars(SensorConfig.build_no_sensors())}
     loaded = Scene.load_from_disk(scene_path, blobs, SensorConfig(**cameras))
     scenario = NavSimScenario(loaded, "", "")
     given = loaded.get_agent_input()
@@ -41,6 +45,7 @@ def main(scene_path: Path, blobs: Path) -> dict[str, Any]:
         "later": [_tracks(scenario.get_tracked_objects_at_iteration(i)) for i in range(1, 9)],
         "ego": [float(value) for value in scenario.get_ego_state_at_iteration(0)],
         "poses": [[float(value) for value in status.ego_pose] for status in given.ego_statuses],
+        "points": [list(lidar.lidar_pc.shape) for lidar in given.lidars],
         "images": [list(cameras.cam_f0.image.shape) for cameras in given.cameras],
         "front": [int(cameras.cam_f0.image.sum()) for cameras in given.cameras],
     }

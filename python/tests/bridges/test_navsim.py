@@ -48,7 +48,7 @@ def states(out: Path) -> list[Any]:
 def driven(drive: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     """A rollout of 6 s, and what the agent saw."""
     folder = tmp_path_factory.mktemp("navsim")
-    simulate(drive, folder / "out", agent(folder / "seen"))
+    simulate(drive, folder / "out", agent(folder / "seen"), "--lidar=hdl-32e")
     return folder / "out", folder / "seen"
 
 
@@ -84,7 +84,10 @@ def test_an_agent_sees_four_frames_at_2_hz_and_drives(driven: tuple[Path, Path])
                 np.testing.assert_allclose(see[f"{name}.{index}.rotation"], mount[:3, :3])
                 np.testing.assert_allclose(see[f"{name}.{index}.translation"], mount[:3, 3])
                 np.testing.assert_allclose(see[f"{name}.{index}.intrinsics"], camera["intrinsics"])
-        assert not [key for key in see if key.startswith("cam_l")]
+        assert not [key for key in see if key.startswith(("cam_l", "lidar.0", "lidar.1", "lidar.2"))]
+        points = np.fromfile(out / f"steps/{now:06}/lidar.pcd.bin", "<f4").reshape(-1, 5)
+        assert len(points) > 1000
+        np.testing.assert_array_equal(see["lidar.3"], np.column_stack([points, np.zeros(len(points))]).T)
     # 4 m/s straight on from the last warm-up step: 1.5 s to 6 s.
     local = np.linalg.inv(np.array(rows[15]["ego"]["global_from_ego"])) @ np.array(rows[60]["ego"]["global_from_ego"])
     np.testing.assert_allclose(local[:2, 3], [18.0, 0.0], atol=1e-4)
@@ -141,6 +144,9 @@ def test_a_rollout_becomes_scenes(driven: tuple[Path, Path], tmp_path: Path) -> 
     assert done.returncode == 0, done.stderr
     found = json.loads(done.stdout)
     assert len(found["future"]) == 8
+    points = np.fromfile(out / "steps/000020/lidar.pcd.bin", "<f4").reshape(-1, 5)
+    assert found["points"]["shape"] == [6, len(points)]
+    np.testing.assert_allclose(found["points"]["sum"], [*points.sum(axis=0, dtype=float), 0.0], rtol=1e-5, atol=0.1)
     for tracks, row in zip(found["future"], rows[25:61:5], strict=True):
         tracks_equal(tracks, row)
     if "navsim" in found:

@@ -206,16 +206,17 @@ def test_wrong_messages_have_their_status(towns: Towns, client: Any) -> None:
     request = next(iter(asked.values()))
     double = batch(asked)
     double.items[1].camera_name = double.items[0].camera_name
-    lidar = sensorsim_pb2.AggregatedRenderRequest(rgb_requests=[request], lidar_requests=[sensorsim_pb2.LidarRenderRequest()])
+    lidar = sensorsim_pb2.LidarRenderRequest(scene_id=request.scene_id)
     many = sensorsim_pb2.AggregatedRenderRequest(rgb_requests=[request] * 257)
     large = Request.FromString(request.SerializeToString())
     large.camera_intrinsics.temporary_camera_spec = "x" * (65 << 20)
     for call, message, code in (
         (client.batch_render_rgb, double, "INVALID_ARGUMENT"),
-        (client.render_aggregated, lidar, "UNIMPLEMENTED"),
         (client.render_aggregated, many, "RESOURCE_EXHAUSTED"),
         (client.render_rgb, large, "RESOURCE_EXHAUSTED"),
-        (client.render_lidar, sensorsim_pb2.LidarRenderRequest(), "UNIMPLEMENTED"),
+        (client.render_aggregated, sensorsim_pb2.AggregatedRenderRequest(lidar_requests=[lidar] * 9), "RESOURCE_EXHAUSTED"),
+        (client.render_lidar, sensorsim_pb2.LidarRenderRequest(), "NOT_FOUND"),
+        (client.render_lidar, sensorsim_pb2.LidarRenderRequest(scene_id=request.scene_id, frame_start_us=1), "INVALID_ARGUMENT"),
         (client.get_available_cameras, sensorsim_pb2.AvailableCamerasRequest(scene_id="x"), "NOT_FOUND"),
         (client.get_available_trajectories, sensorsim_pb2.AvailableTrajectoriesRequest(scene_id="x"), "NOT_FOUND"),
     ):
@@ -224,6 +225,35 @@ def test_wrong_messages_have_their_status(towns: Towns, client: Any) -> None:
         assert error.value.code().name == code, error.value.details()
     # The server continues.
     assert client.render_rgb(request).image_bytes
+
+
+def test_sweeps_are_in_the_frame_of_the_device_at_their_end(towns: Towns, client: Any) -> None:
+    log, skeleton = towns.logs[0], towns.skeletons[0]
+    scene = log[2]
+    before = log.at(scene.t_us - 100_000)
+    mount = np.eye(4)
+    mount[:3, 3] = log.lidar_position
+    start, end = (poses.pose(at.ego @ mount, poses.local_origin(log.at(log.times_us[0]).ego[:3, 3])) for at in (before, scene))
+    asked = next(iter(towns.requests(client).values()))
+    request = sensorsim_pb2.LidarRenderRequest(
+        scene_id=log.name,
+        lidar_config={"lidar_type": sensorsim_pb2.AT128},
+        frame_start_us=before.t_us,
+        frame_end_us=scene.t_us,
+        sensor_pose={"start_pose": start, "end_pose": end},
+        dynamic_objects=asked.dynamic_objects,
+    )
+    answer = client.render_lidar(request)
+    points = np.frombuffer(answer.point_xyzs_buffer, "<f4").reshape(-1, 3)
+    assert len(points) == answer.num_points > 10_000 and len(answer.point_intensities_buffer) == 4 * len(points)
+    # The actors of the request stand still.
+    still = pskel.Scene(before.ego, [], scene.actors, t_us=before.t_us)
+    with pskel.Renderer(pskel.Skeleton(skeleton), maps=["depth"], log=log.name) as renderer:
+        expected = renderer.lidar(pskel.Scene(scene.ego, [], scene.actors, t_us=scene.t_us), "at128", other=still, position=log.lidar_position)
+    assert len(points) == len(expected["points"])
+    np.testing.assert_allclose(points + np.array(log.lidar_position), expected["points"], atol=2e-3)
+    both = sensorsim_pb2.AggregatedRenderRequest(rgb_requests=[asked], lidar_requests=[request])
+    assert client.render_aggregated(both).lidar_returns[0] == answer
 
 
 def test_bytes_that_are_no_message(towns: Towns) -> None:

@@ -419,7 +419,7 @@ def test_generators_of_simulate_equal_the_loop_in_one_process(towns: Towns, gene
     with server(*towns.one, f"--generator={generator}") as (_, address):
         client = stub(address)
         name = client.start_session(start).session_id
-        requests = [towns.chunk(name, 0, 3), towns.chunk(name, 3, 2)]
+        requests = [towns.chunk(name, 0, 2), towns.chunk(name, 2, 1)]
         found = pictures([client.render_video_chunk(request) for request in requests])
     np.testing.assert_array_equal(found, towns.expected(generator, start, requests, kind=pskel.Generator))
 

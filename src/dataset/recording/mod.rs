@@ -214,6 +214,12 @@ impl Recording {
         printable(&self.name)
     }
 
+    /// Returns where the LiDAR of the first sweep is on the ego, meters; `None` without sweeps.
+    pub fn lidar_position_m(&self) -> Option<DVec3> {
+        let first = self.frames.iter().flat_map(|frame| &frame.sweeps).next();
+        first.map(|sweep| sweep.ego_from_lidar.translation)
+    }
+
     /// Returns a track's boxes in time order, with their frame indices.
     pub fn track_boxes(&self, track: usize) -> Vec<(usize, Cuboid)> {
         let in_frame = |(i, frame): (usize, &Frame)| frame.cuboid_of(track).map(|cuboid| (i, cuboid));

@@ -1,4 +1,4 @@
-//! Copies of a nuScenes data set with other images. Files that are not replaced are links to the original, or
+//! Copies of a nuScenes data set with other images, and with LiDAR sweeps if the rollouts have them. Files that are not replaced are links to the original, or
 //! left out with the tables of all samples that were not generated.
 
 use std::collections::btree_map::Entry;
@@ -8,19 +8,25 @@ use std::io::{Cursor, Write};
 use std::os::unix::fs::symlink;
 use std::path::{Path, PathBuf};
 
+use glam::{DAffine3, DMat4, Vec3};
 use image::ImageFormat;
 use image::codecs::jpeg::JpegEncoder;
 use image::imageops::{self, FilterType};
 use point_skeleton::dataset::nuscenes::{SubsetSample, TableSubset};
-use point_skeleton::dataset::{DatasetError, ImageRecord, LogLocator, Recording};
+use point_skeleton::dataset::{DatasetError, Frame, ImageRecord, LogLocator, Recording, SweepRecord};
 use point_skeleton::error::FileError;
+use point_skeleton::files::input::{is_there, read_file};
 use point_skeleton::files::{
     FileName, Inputs, LISTED_FILES, WholeFolder, is_below, is_inside, write_json, write_whole,
 };
-use pskel_sim::report::{self, ROLLOUT, STATES, STEPS, StateFile};
+use point_skeleton::lidar::{LidarFormat, MAX_RAYS};
+use pskel_sim::report::{self, ROLLOUT, STATES, STEPS, StateFile, StepRow};
 use serde::Serialize;
 use serde_json::json;
 
+/// Bytes of a point in nuScenes' sweeps, and maximum size of a sweep.
+const ROW_BYTES: usize = 20;
+const SWEEP_BYTES: u64 = (ROW_BYTES * MAX_RAYS) as u64;
 /// JPEG quality: high, so that visible artifacts are the generator's.
 const QUALITY: u8 = 95;
 
@@ -40,6 +46,8 @@ pub struct ImageCounts {
     pub retained: usize,
     /// Number of generated images that were left out, since an earlier one is in the same file.
     pub doubled: usize,
+    /// Number of replaced LiDAR sweeps.
+    pub sweeps: usize,
 }
 
 /// Counts of a copy that has only generated samples.
@@ -62,12 +70,19 @@ pub struct CopiedLog<'a> {
     pub rollout: &'a Path,
 }
 
-/// Generated image that replaces a file of the data set.
+/// What replaces a file of the data set.
 struct Replacement<'a> {
     /// Folder of the step.
     step: PathBuf,
-    camera: &'a FileName,
-    record: &'a ImageRecord,
+    source: Source<'a>,
+}
+
+/// Source of a file.
+enum Source<'a> {
+    /// The generated image of a camera.
+    Image(&'a FileName, &'a ImageRecord),
+    /// The LiDAR sweep in the ego frame of the step, whose pose in the frame of the recorded one is given.
+    Sweep(&'a SweepRecord, DAffine3),
 }
 
 /// Generated images of some logs. Of several for a file, the first one replaces it: that of the earlier clip,
@@ -133,8 +148,8 @@ impl<'a> DatasetCopy<'a> {
         Ok(())
     }
 
-    /// Writes the copy with the images from rollouts of some logs, enlarged to the original size. A log may
-    /// occur several times, with the rollouts of its clips.
+    /// Writes the copy with the images from rollouts of some logs, enlarged to the original size, and with
+    /// their LiDAR sweeps in nuScenes' format. A log may occur several times, with the rollouts of its clips.
     ///
     /// # Errors
     /// Fails if a rollout has no generated images at its log's frames, or if a file cannot be read or
@@ -146,11 +161,13 @@ impl<'a> DatasetCopy<'a> {
         let images: BTreeSet<&Path> =
             frames.flat_map(|frame| &frame.images).map(|image| image.path.as_path()).collect();
         target.write(|whole| mirror(&source.path, whole, Path::new(""), &by_path))?;
-        Ok(ImageCounts { replaced: by_path.len(), retained: images.len() - by_path.len(), doubled })
+        let replaced = by_path.values().filter(|new| new.token().is_some()).count();
+        let (retained, sweeps) = (images.len() - replaced, by_path.len() - replaced);
+        Ok(ImageCounts { replaced, retained, doubled, sweeps })
     }
 
     /// Writes only the samples that were generated: tables of them with new links and counts, their images,
-    /// links to their LiDAR sweeps and to the maps, and [`GENERATED_LIST`]. A sample is left out and counted
+    /// their LiDAR sweeps or links to the recorded ones, links to the maps, and [`GENERATED_LIST`]. A sample is left out and counted
     /// if an earlier one has the same file.
     ///
     /// # Errors
@@ -162,12 +179,15 @@ impl<'a> DatasetCopy<'a> {
         let subset = TableSubset::read(source, &whole)?;
         let scenes: BTreeSet<&str> = subset.samples.iter().map(|sample| sample.scene.as_str()).collect();
         target.write(|folder| -> Result<(), FileError> {
-            for (path, new) in by_path.iter().filter(|(_, new)| whole.contains(new.record.token.as_str())) {
+            let is_whole = |new: &Replacement<'_>| new.token().is_some_and(|token| whole.contains(token));
+            for (path, new) in by_path.iter().filter(|(_, new)| is_whole(new)) {
                 new.write(&below(folder, path)?)?;
             }
             for sweep in &subset.sweeps {
                 let from = root.join(sweep);
-                link(&from, &below(folder, &relative(root, &from)?)?)?;
+                let place = relative(root, &from)?;
+                let to = below(folder, &place)?;
+                by_path.get(&place).map_or_else(|| link(&from, &to), |new| new.write(&to))?;
             }
             for name in SHARED.into_iter().filter(|name| root.join(name).is_dir()) {
                 link(&root.join(name), &folder.join(name))?;
@@ -184,8 +204,11 @@ impl<'a> DatasetCopy<'a> {
 
 impl fmt::Display for ImageCounts {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { replaced, retained, doubled } = self;
+        let Self { replaced, retained, doubled, sweeps } = self;
         write!(f, "{replaced} images replaced, {retained} kept")?;
+        if *sweeps > 0 {
+            write!(f, ", {sweeps} LiDAR sweeps replaced")?;
+        }
         match doubled {
             0 => Ok(()),
             _ => write!(f, ", {doubled} left out (an earlier one is in the same file)"),
@@ -210,11 +233,11 @@ impl<'a> Replacements<'a> {
         for copied in logs {
             for frame in copied.replacements()? {
                 let before = all.doubled_images;
-                let tokens: Vec<&str> = frame.iter().map(|new| new.record.token.as_str()).collect();
+                let tokens: Vec<&str> = frame.iter().filter_map(Replacement::token).collect();
                 for new in frame {
-                    match all.by_path.entry(relative(root, &new.record.path)?) {
+                    match all.by_path.entry(relative(root, new.path())?) {
                         Entry::Vacant(entry) => _ = entry.insert(new),
-                        Entry::Occupied(_) => all.doubled_images += 1,
+                        Entry::Occupied(_) => all.doubled_images += usize::from(new.token().is_some()),
                     }
                 }
                 match all.doubled_images == before {
@@ -251,11 +274,14 @@ impl<'a> CopiedLog<'a> {
                 continue;
             }
             let images = frame.images.iter().map(|record| {
-                let camera = camera_of(log, record, &step)?;
-                Ok(Replacement { step: step.clone(), camera, record })
+                let source = Source::Image(camera_of(log, record, &step)?, record);
+                Ok(Replacement { step: step.clone(), source })
             });
-            let images = images.collect::<Result<Vec<_>, FileError>>()?;
-            replaced.extend(Some(images).filter(|images| !images.is_empty()));
+            let mut files = images.collect::<Result<Vec<_>, FileError>>()?;
+            if !files.is_empty() && is_there(&step.join(LidarFormat::Bin.file()))? {
+                files.extend(sweeps(frame, &row, &step));
+            }
+            replaced.extend(Some(files).filter(|files| !files.is_empty()));
         }
         if replaced.is_empty() {
             return Err(FileError::content(
@@ -266,6 +292,18 @@ impl<'a> CopiedLog<'a> {
         }
         Ok(replaced)
     }
+}
+
+/// Returns the replacements of the LiDAR sweeps of a frame itself.
+fn sweeps<'a>(frame: &'a Frame, row: &StepRow, step: &Path) -> Vec<Replacement<'a>> {
+    let global_from_ego =
+        DAffine3::from_mat4(DMat4::from_cols_array_2d(&row.ego.global_from_ego).transpose());
+    let replacement = |record: &'a SweepRecord| {
+        let global_from_lidar = record.global_from_ego * record.ego_from_lidar;
+        let source = Source::Sweep(record, global_from_lidar.inverse().affine() * global_from_ego);
+        Replacement { step: step.to_owned(), source }
+    };
+    frame.sweeps.iter().filter(|record| record.is_key).map(replacement).collect()
 }
 
 /// Returns the camera of an image.
@@ -324,10 +362,54 @@ fn below(folder: &Path, file: &Path) -> Result<PathBuf, FileError> {
     Ok(place)
 }
 
-impl Replacement<'_> {
+impl<'a> Replacement<'a> {
+    /// Returns the file that is replaced.
+    fn path(&self) -> &'a Path {
+        match self.source {
+            Source::Image(_, record) => &record.path,
+            Source::Sweep(record, _) => &record.path,
+        }
+    }
+
+    /// Returns the token of an image.
+    fn token(&self) -> Option<&'a str> {
+        match self.source {
+            Source::Image(_, record) => Some(&record.token),
+            Source::Sweep(..) => None,
+        }
+    }
+
     fn write(&self, path: &Path) -> Result<(), FileError> {
-        let camera = &self.record.camera;
-        let generated = report::images::read_generated(&self.step, self.camera)?;
+        match &self.source {
+            Source::Image(camera, record) => self.write_image(camera, record, path),
+            Source::Sweep(_, lidar_from_ego) => self.write_sweep(lidar_from_ego, path),
+        }
+    }
+
+    /// Writes the points in the frame of the recorded LiDAR.
+    fn write_sweep(&self, lidar_from_ego: &DAffine3, path: &Path) -> Result<(), FileError> {
+        if path.extension().is_none_or(|ending| ending != "bin") {
+            let expected = "LiDAR sweeps in nuScenes' format (.bin) to replace";
+            return Err(FileError::content(expected, "another file", path));
+        }
+        let from = self.step.join(LidarFormat::Bin.file());
+        let bytes = read_file(&from, SWEEP_BYTES)?;
+        let rows = LidarFormat::Bin.rows(&bytes);
+        let rows =
+            rows.ok_or_else(|| FileError::content("the points of a sweep", "a damaged file", &from))?;
+        let mut moved = rows.to_vec();
+        for row in moved.chunks_exact_mut(ROW_BYTES) {
+            let number = |at: usize| f32::from_le_bytes([row[at], row[at + 1], row[at + 2], row[at + 3]]);
+            let position = Vec3::new(number(0), number(4), number(8)).as_dvec3();
+            let position = lidar_from_ego.transform_point3(position).as_vec3().to_array();
+            row[..12].copy_from_slice(position.map(f32::to_le_bytes).as_flattened());
+        }
+        write_whole(path, |out| out.write_all(&moved).map_err(FileError::io("write", path)))
+    }
+
+    fn write_image(&self, camera: &FileName, record: &ImageRecord, path: &Path) -> Result<(), FileError> {
+        let generated = report::images::read_generated(&self.step, camera)?;
+        let camera = &record.camera;
         let image = imageops::resize(&generated, camera.width, camera.height, FilterType::CatmullRom);
         let format = ImageFormat::from_path(path).unwrap_or(ImageFormat::Jpeg);
         write_whole(path, |out| {

@@ -3,20 +3,21 @@
 use std::path::Path;
 
 use clap::Args;
-use glam::DVec3;
 use point_skeleton::dataset::Recording;
 use point_skeleton::error::FileError;
 use point_skeleton::lidar::{LidarFormat, LidarSpec};
 use point_skeleton::sequence::LidarOutput;
 
 use super::names::names;
+#[cfg(feature = "network")]
+use crate::WrongUsage;
 
 /// Options of LiDAR sweeps.
 #[derive(Clone, Debug, Args)]
 #[command(next_help_heading = "LiDAR")]
 pub(crate) struct LidarArgs {
-    /// Also write LiDAR sweeps: hdl-32e, vlp-32c, pandar64, pandar128, av2, nuplan, or a JSON file of devices
-    /// (name.json). Points are in the ego frame at the frame's time; intensity is 0, since skeletons do not
+    /// Also write LiDAR sweeps: hdl-32e, vlp-32c, pandar64, pandar128, at128, av2, nuplan, or a JSON file of
+    /// devices (name.json). Points are in the ego frame at the frame's time; intensity is 0, since skeletons do not
     /// keep it
     #[arg(long, value_name = "SPEC", value_parser = spec)]
     lidar: Option<String>,
@@ -49,6 +50,16 @@ impl LidarArgs {
         file(self.lidar.as_deref())
     }
 
+    /// Checks that sweeps can replace those in a copy of a nuScenes data set.
+    #[cfg(feature = "network")]
+    pub(crate) fn check_copy(&self) -> Result<(), WrongUsage> {
+        if self.lidar.is_none() || self.lidar_format == LidarFormat::Bin {
+            return Ok(());
+        }
+        let found = self.lidar_format.name();
+        Err(WrongUsage(format!("expected --lidar-format bin with a copy of the data set, found {found}")))
+    }
+
     /// Returns the sweeps to write; `None` for maps alone. Devices without a mount are where the log's LiDAR
     /// is.
     ///
@@ -56,6 +67,15 @@ impl LidarArgs {
     /// Fails if a file is invalid, or if a device has no mount and the log no sweeps.
     pub(crate) fn output(&self, log: &Recording) -> Result<Option<LidarOutput>, FileError> {
         let spec = self.lidar.as_deref().map(|text| mounted(text, log)).transpose()?;
+        Ok(spec.map(|spec| LidarOutput { spec, format: self.lidar_format }))
+    }
+
+    /// Returns the sweeps to write with devices as they are described, for any log.
+    ///
+    /// # Errors
+    /// Fails if a file is invalid.
+    pub(crate) fn unmounted(&self) -> Result<Option<LidarOutput>, FileError> {
+        let spec = self.lidar.as_deref().map(LidarSpec::named).transpose()?;
         Ok(spec.map(|spec| LidarOutput { spec, format: self.lidar_format }))
     }
 }
@@ -66,10 +86,8 @@ impl LidarArgs {
 /// Fails if a file is invalid, or if a device has no mount and the log no sweeps.
 pub(crate) fn mounted(text: &str, log: &Recording) -> Result<LidarSpec, FileError> {
     let spec = LidarSpec::named(text)?;
-    let recorded = log.frames.iter().flat_map(|frame| &frame.sweeps).next();
-    let at: Option<DVec3> = recorded.map(|sweep| sweep.ego_from_lidar.translation);
     let is_mounted = spec.devices.iter().all(|device| device.ego_from_lidar.is_some());
-    match at {
+    match log.lidar_position_m() {
         Some(at) => Ok(spec.mounted_at(at)),
         None if is_mounted => Ok(spec),
         None => {

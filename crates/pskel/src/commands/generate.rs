@@ -14,6 +14,7 @@ use super::simulate::{self, ClipArgs, SimulateArgs};
 use crate::args::actors::ScenarioArgs;
 use crate::args::frames::MovedEgoArgs;
 use crate::args::generator::GeneratorArgs;
+use crate::args::lidar::LidarArgs;
 use crate::args::maps::MapArgs;
 use crate::args::outputs::FolderArgs;
 use crate::args::prompt::PromptArgs;
@@ -42,7 +43,8 @@ pub(crate) struct GenerateArgs {
     /// logs]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
     every: Option<u16>,
-    /// Also write a copy of the data set (nuScenes) with the generated images, enlarged to the original size;
+    /// Also write a copy of the data set (nuScenes) with the generated images, enlarged to the original size,
+    /// and with --lidar the sweeps of LIDAR_TOP;
     /// all other files are links to the original. A new or empty folder, or an earlier copy, which is
     /// replaced
     #[arg(long, value_name = "DIR", conflicts_with = "scenario")]
@@ -60,6 +62,8 @@ pub(crate) struct GenerateArgs {
     #[command(flatten)]
     maps: MapArgs,
     #[command(flatten)]
+    lidar: LidarArgs,
+    #[command(flatten)]
     scenario: ScenarioArgs,
     #[command(flatten)]
     substitutes: SubstituteArgs,
@@ -72,6 +76,9 @@ pub(crate) fn run(args: GenerateArgs) -> anyhow::Result<()> {
     if args.dataset.is_some() && *args.source.log.format != nuscenes::FORMAT {
         let message = format!("expected a log nuscenes:.. with --dataset, found {}", args.source.log);
         return Err(WrongUsage(message).into());
+    }
+    if args.dataset.is_some() {
+        args.lidar.check_copy()?;
     }
     let (log, roots, out) = (args.source.log.clone(), args.source.roots.clone(), args.folder.out.clone());
     let generated_only = args.generated_only;
@@ -120,6 +127,7 @@ impl GenerateArgs {
             generator: self.generator,
             images: None,
             maps: self.maps,
+            lidar: self.lidar,
             scenario: self.scenario,
             substitutes: self.substitutes,
             rasterizer: self.rasterizer,

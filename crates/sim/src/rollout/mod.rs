@@ -118,6 +118,7 @@ impl<'a> Rollout<'a> {
             format: options.format,
             forecast_steps: options.forecast_steps,
             sheets: options.sheets,
+            lidar: options.lidar,
             log: scenario.log.name.clone(),
             sources,
             simulation: options.simulation,

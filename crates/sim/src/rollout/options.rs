@@ -7,6 +7,7 @@ use point_skeleton::dataset::ActorEdits;
 #[cfg(feature = "mcap")]
 use point_skeleton::files::OutputFile;
 use point_skeleton::scene::{SelectionOptions, SubstituteReport};
+use point_skeleton::sequence::LidarOutput;
 use point_skeleton::skeleton::Skeleton;
 use serde::Serialize;
 use serde_json::{Map, Value};
@@ -30,6 +31,8 @@ pub struct RolloutOptions {
     pub forecast_steps: usize,
     /// Also writes a contact sheet per step.
     pub sheets: bool,
+    /// LiDAR sweeps to write beside the maps of each step.
+    pub lidar: Option<LidarOutput>,
     /// Further entries of `rollout.json`, which must be equal to resume, such as the options of the
     /// generator.
     pub extra: Map<String, Value>,
@@ -104,6 +107,8 @@ pub(super) struct RolloutRecord {
     pub(super) format: MapFormat,
     pub(super) forecast_steps: usize,
     pub(super) sheets: bool,
+    #[serde(flatten)]
+    pub(super) lidar: Option<LidarOutput>,
     pub(super) log: String,
     pub(super) sources: super::sources::Sources,
     pub(super) simulation: SimOptions,

@@ -17,6 +17,8 @@ pub(super) struct StepTimes {
     pub(super) begin_s: f64,
     /// Waiting until all maps are in memory.
     pub(super) finish_s: f64,
+    /// The LiDAR sweep.
+    pub(super) lidar_s: f64,
     /// Forecasts with their maps.
     pub(super) forecast_s: f64,
     /// Visible actors, and other data of the step's line.
@@ -31,7 +33,7 @@ pub(super) struct StepTimes {
 impl StepTimes {
     /// Returns the time of policies and conditions, which every closed loop needs.
     pub(super) fn loop_s(&self) -> f64 {
-        self.policies_s + self.conditions_s()
+        self.policies_s + self.conditions_s() + self.lidar_s
     }
 
     pub(super) fn conditions_s(&self) -> f64 {
@@ -97,6 +99,7 @@ impl Profile {
             ("conditions_s", of(StepTimes::conditions_s)),
             ("begin_s", of(|t| t.begin_s)),
             ("finish_s", of(|t| t.finish_s)),
+            ("lidar_s", of(|t| t.lidar_s)),
             ("forecast_s", of(|t| t.forecast_s)),
             ("observe_s", of(|t| t.observe_s)),
             ("wait_s", of(|t| t.wait_s)),

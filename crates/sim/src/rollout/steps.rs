@@ -8,9 +8,10 @@ use point_skeleton::conditions::birdseye::Trace;
 use point_skeleton::conditions::{CameraConditions, ConditionError, ConditionSet};
 use point_skeleton::dataset::EgoTrack;
 use point_skeleton::files::OutputFolder;
+use point_skeleton::lidar::{LidarSweep, Motion};
 use point_skeleton::pipeline::{Pipeline, write_beside};
-use point_skeleton::scene::SceneState;
-use point_skeleton::{MapOptions, Maps, Renderer};
+use point_skeleton::scene::{EgoOffset, SceneState, state_beside};
+use point_skeleton::{Error, MapOptions, Maps, Renderer};
 
 use super::error::RolloutError;
 use super::finish::TRACES;
@@ -48,6 +49,8 @@ struct Loop<'l, 'a, 'r, 'g> {
     recorded: Vec<DVec2>,
     /// The latest plan.
     plan: Vec<Waypoint>,
+    /// State of the step before, if LiDAR sweeps are rendered: sweeps take the time since then.
+    before: Option<SceneState>,
     /// Whether a step has begun.
     has_begun: bool,
     /// Error that ends the rollout after the steps in flight.
@@ -60,6 +63,7 @@ struct PendingStep {
     /// page.
     is_new: bool,
     state: SceneState,
+    sweep: Option<LidarSweep>,
     instant: Instant,
     plan: Option<Vec<Waypoint>>,
     metrics: Metrics,
@@ -116,6 +120,7 @@ impl Steps<'_> {
                 run,
                 recorded,
                 plan,
+                before: None,
                 has_begun: false,
                 failure: None,
             };
@@ -195,9 +200,14 @@ impl Loop<'_, '_, '_, '_> {
         let state = self.steps.state(&instant);
         self.renderer.begin_with(&state, &self.steps.maps).map_err(RolloutError::step(&state.name))?;
         times.begin_s = lap(&mut clock);
+        let is_new = !is_first || self.run.rows.is_empty();
+        let sweep = self.sweep(&state, is_new).map_err(RolloutError::step(&state.name))?;
+        times.lidar_s = lap(&mut clock);
+        let simulation = &self.simulation;
         Ok(Some(PendingStep {
-            is_new: !is_first || self.run.rows.is_empty(),
+            is_new,
             state,
+            sweep,
             instant,
             plan: plan.map(|plan| plan.get().waypoints().to_vec()),
             metrics: simulation.metrics(),
@@ -205,6 +215,23 @@ impl Loop<'_, '_, '_, '_> {
             saved: simulation.save(),
             times,
         }))
+    }
+
+    /// Renders the LiDAR sweep of a new step, if the rollout has them. Ego and actors move from the step
+    /// before; those of step 0 as in the log.
+    fn sweep(&mut self, state: &SceneState, is_new: bool) -> Result<Option<LidarSweep>, Error> {
+        let Some(lidar) = &self.steps.output.record.lidar else { return Ok(None) };
+        let log = self.steps.scenario.log;
+        let recorded = || {
+            let (track, seconds) = (EgoTrack::new(log), lidar.spec.duration_s());
+            let beside = state_beside(log, &track, state.t_us, seconds, EgoOffset::default());
+            beside.map(|beside| beside.hiding(&self.steps.output.record.hide))
+        };
+        let before = self.before.replace(state.clone()).or_else(recorded);
+        if !is_new {
+            return Ok(None);
+        }
+        self.renderer.lidar(&lidar.spec, &Motion::new(state, before.as_ref())).map(Some)
     }
 
     /// Waits for the maps of a step. Returns the time that this took, seconds.
@@ -223,7 +250,7 @@ impl Loop<'_, '_, '_, '_> {
         finish_s: f64,
         on_step: &mut dyn FnMut(&str),
     ) -> Result<bool, RolloutError> {
-        let PendingStep { is_new, state, instant, plan, metrics, driving_command, saved, mut times } =
+        let PendingStep { is_new, state, sweep, instant, plan, metrics, driving_command, saved, mut times } =
             pending;
         times.finish_s = finish_s;
         let mut clock = Clock::now();
@@ -258,7 +285,8 @@ impl Loop<'_, '_, '_, '_> {
             self.run.metrics = metrics;
             let traces = self.traces(instant.t_us);
             on_step(&name);
-            let (job, clock) = (Job { state, set, row, saved, traces, forecast, images }, &mut Clock::now());
+            let (job, clock) =
+                (Job { state, set, sweep, row, saved, traces, forecast, images }, &mut Clock::now());
             let is_up = self.send_to_writer(job);
             times.wait_s = lap(clock);
             if !is_up {

@@ -8,6 +8,7 @@ use point_skeleton::dataset::{ActorEdits, LogLocator, LogOpener};
 use point_skeleton::error::FileError;
 use point_skeleton::files::{Checksum, Inputs, OutputFolder, write_json};
 use point_skeleton::scene::{SelectionOptions, SubstituteOptions};
+use point_skeleton::sequence::LidarOutput;
 use pskel_eval::protocol::{Part, Protocol, check_settings};
 use pskel_generate::{ImageFolder, ImportOptions};
 use pskel_sim::{ActorPolicy, Rates};
@@ -19,6 +20,7 @@ use super::logs::ProtocolLogs;
 use crate::args::actors::ScenarioArgs;
 use crate::args::generator::GeneratorArgs;
 use crate::args::images::ImageArgs;
+use crate::args::lidar::LidarArgs;
 use crate::args::maps::MapArgs;
 use crate::args::metrics::MetricArgs;
 use crate::args::names::names;
@@ -64,6 +66,8 @@ pub(crate) struct ClipProtocolArgs {
     #[command(flatten)]
     pub(super) maps: MapArgs,
     #[command(flatten)]
+    pub(super) lidar: LidarArgs,
+    #[command(flatten)]
     pub(super) scenario: ScenarioArgs,
     #[command(flatten)]
     pub(super) substitutes: SubstituteArgs,
@@ -85,6 +89,8 @@ struct Settings<'a> {
     maps: ConditionOptions,
     selection: SelectionOptions,
     format: MapFormat,
+    #[serde(flatten)]
+    lidar: Option<LidarOutput>,
     substitutes: SubstituteOptions,
     /// Fingerprint of the template library.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -106,6 +112,7 @@ impl ClipProtocolArgs {
             .and(self.generator.inputs())
             .and(self.images.inputs())
             .and(self.substitutes.inputs())
+            .and(self.lidar.inputs())
             .and(self.metrics.inputs())
     }
 
@@ -179,6 +186,7 @@ impl ClipProtocolArgs {
             maps: self.maps.conditions(self.maps.maps.unwrap_or_default()),
             selection: self.maps.selection(),
             format: self.maps.format,
+            lidar: self.lidar.unmounted()?,
             substitutes: self.substitutes.options(),
             library: self.substitutes.options().fingerprint()?,
             prompt: self.prompt.read()?,

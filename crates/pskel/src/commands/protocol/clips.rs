@@ -71,7 +71,7 @@ pub(super) fn run(protocol: Protocol, args: &ClipProtocolArgs) -> anyhow::Result
         );
         return Err(WrongUsage(message).into());
     }
-    copied.map_or(Ok(()), |part| check_one_dataset(part, &logs))?;
+    copied.map_or(Ok(()), |part| check_one_dataset(part, &logs).and(args.lidar.check_copy()))?;
     let files = OutputFolder::open(&args.given.folder.out, "protocol", &args.inputs(&logs))?;
     files.check(FILES)?;
     let dataset = files.folder("dataset")?;
@@ -209,6 +209,7 @@ impl Run<'_> {
             generator: args.generator.clone(),
             images,
             maps: args.maps.clone(),
+            lidar: args.lidar.clone(),
             scenario: args.scenario.clone(),
             substitutes: args.substitutes.clone(),
             rasterizer: args.rasterizer.clone(),

@@ -22,6 +22,7 @@ use super::super::simulate::{self, ClipArgs, SimulateArgs};
 use super::logs::ProtocolLogs;
 use crate::args::actors;
 use crate::args::generator::GeneratorArgs;
+use crate::args::lidar::LidarArgs;
 use crate::args::maps::MapArgs;
 use crate::args::names::{names, names_of};
 use crate::args::outputs::FolderArgs;
@@ -81,6 +82,8 @@ pub(crate) struct ScenarioArgs {
     #[command(flatten)]
     maps: MapArgs,
     #[command(flatten)]
+    lidar: LidarArgs,
+    #[command(flatten)]
     substitutes: SubstituteArgs,
     #[command(flatten)]
     rasterizer: RasterizerArgs,
@@ -139,6 +142,7 @@ impl ScenarioArgs {
             .and(&self.scenario)
             .and(self.generator.inputs())
             .and(self.substitutes.inputs())
+            .and(self.lidar.inputs())
     }
 
     /// Writes the settings, or compares them with an earlier run's.
@@ -153,6 +157,7 @@ impl ScenarioArgs {
             "every": self.every,
             "clips": self.clips,
             "scenarios": self.scenario,
+            "lidar": self.lidar.unmounted()?,
         });
         let path = files.claim(FILES[0])?;
         check_settings(&path, &settings)?;
@@ -259,6 +264,7 @@ impl ScenarioArgs {
             generator: self.generator.clone(),
             images: None,
             maps: self.maps.clone(),
+            lidar: self.lidar.clone(),
             substitutes: self.substitutes.clone(),
             rasterizer: self.rasterizer.clone(),
             opener: Arc::clone(opener),

@@ -25,6 +25,7 @@ use super::policies::PolicyArgs;
 use crate::args::actors::ActorArgs;
 #[cfg(feature = "network")]
 use crate::args::actors::ScenarioArgs;
+use crate::args::lidar::LidarArgs;
 use crate::args::maps::MapArgs;
 use crate::args::numbers;
 use crate::args::outputs::{self, FolderArgs};
@@ -80,6 +81,8 @@ pub(crate) struct SimulateArgs {
     pub(super) generator: GeneratorArgs,
     #[command(flatten)]
     pub(super) maps: MapArgs,
+    #[command(flatten)]
+    pub(super) lidar: LidarArgs,
     #[command(flatten)]
     pub(super) actors: ActorArgs,
     #[command(flatten)]
@@ -140,6 +143,7 @@ pub(crate) struct ClipArgs {
     /// Images of another program in the place of the generator's.
     pub(crate) images: GivenImages,
     pub(crate) maps: MapArgs,
+    pub(crate) lidar: LidarArgs,
     pub(crate) scenario: ScenarioArgs,
     pub(crate) substitutes: SubstituteArgs,
     pub(crate) rasterizer: RasterizerArgs,
@@ -168,6 +172,7 @@ impl SimulateArgs {
             policies: PolicyArgs::of_clip((clip.ego, clip.planner), clip.actors, rates),
             generator: clip.generator,
             maps: clip.maps,
+            lidar: clip.lidar,
             actors: ActorArgs::of_scenario(clip.scenario),
             substitutes: clip.substitutes,
             rasterizer: clip.rasterizer,
@@ -225,6 +230,7 @@ impl SimulateArgs {
             .and(files.into_iter().flatten())
             .and(self.generator.inputs())
             .and(self.substitutes.inputs())
+            .and(self.lidar.inputs())
     }
 
     /// Opens the files besides the output folder that the command writes. `read` is everything that it reads.

@@ -76,7 +76,8 @@ pub(crate) fn rollout(args: SimulateArgs) -> anyhow::Result<String> {
     let generator = opened.as_ref().map(Opened::record).transpose()?.unwrap_or(Value::Null);
     let extra = rollout_extra(&substitute_report, generator)?;
     let facts = opened.iter().map(Opened::fact).collect();
-    let options = options(&args, &files, log, *maps, simulation, extra, facts);
+    let lidar = args.lidar.output(log)?;
+    let options = RolloutOptions { lidar, ..options(&args, &files, log, *maps, simulation, extra, facts) };
     let paths = InputPaths {
         log: &args.source.log.path,
         skeleton: &args.source.skeleton,
@@ -165,6 +166,7 @@ fn options(
         format: args.maps.format,
         forecast_steps: args.forecast_steps(),
         sheets: args.sheets,
+        lidar: None,
         extra,
         facts,
         #[cfg(feature = "mcap")]

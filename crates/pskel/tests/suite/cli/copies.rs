@@ -3,6 +3,7 @@
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
+use glam::DVec3;
 use point_skeleton::Log;
 use point_skeleton::dataset::{LogLocator, nuscenes};
 use pskel_generate::{CopiedLog, DatasetCopy, ImageCounts, SampleCounts};
@@ -108,14 +109,14 @@ fn the_earlier_clip_fills_a_sample_that_several_have() {
     let (other, start) = (FILL.replace("fill", "process:./denoiser.sh"), FIRST_US + STEP_US);
     log.succeed(&format!("{other} --out two --start {start}"));
     let (all, only) = copied(&log, &["one", "two"]);
-    assert_eq!(all, ImageCounts { replaced: 4, retained: 2, doubled: 2 });
+    assert_eq!(all, ImageCounts { replaced: 4, retained: 2, doubled: 2, sweeps: 0 });
     assert_eq!(all.to_string(), "4 images replaced, 2 kept, 2 left out (an earlier one is in the same file)");
     assert_eq!(only, SampleCounts { samples: 2, scenes: 1, doubled: 1 });
     let image = |copy: &str, frame: usize| bytes(&log.path(&format!("{copy}/samples/{frame}-CAM_FRONT.png")));
     let first = image("all", 2);
     assert_eq!(first, image("copy", 2));
     let (all, only) = copied(&log, &["two", "one"]);
-    assert_eq!(all, ImageCounts { replaced: 4, retained: 2, doubled: 2 });
+    assert_eq!(all, ImageCounts { replaced: 4, retained: 2, doubled: 2, sweeps: 0 });
     // Frame 1 of the first clip fills a sample that the other clip has not.
     assert_eq!(only, SampleCounts { samples: 2, scenes: 1, doubled: 1 });
     assert_ne!(image("copy", 2), first);
@@ -133,8 +134,44 @@ fn samples_that_share_an_image_are_counted() {
     log.change("sample_data", &format!("/{}/filename", front("s2")), json!("samples/1-CAM_FRONT.png"));
     log.succeed(&format!("{FILL} --out one"));
     let (all, only) = copied(&log, &["one"]);
-    assert_eq!(all, ImageCounts { replaced: 3, retained: 2, doubled: 1 });
+    assert_eq!(all, ImageCounts { replaced: 3, retained: 2, doubled: 1, sweeps: 0 });
     assert_eq!(only, SampleCounts { samples: 1, scenes: 1, doubled: 1 });
     assert_eq!(fields(&records(&log, "sample"), "token"), ["s1"]);
     assert_eq!(records(&log, "sample")[0]["next"], "");
+}
+
+/// Sweeps of the rollout replace those of the generated frames: in the frame of the recorded LiDAR.
+#[test]
+fn copies_have_the_sweeps_of_the_rollout() {
+    let log = built();
+    let device = json!({"name": "top", "elevations_deg": [-20.0, -10.0, -4.0, 0.0], "columns": 90,
+        "range_m": [1.0, 80.0]});
+    std::fs::write(log.path("top.json"), json!({ "devices": [device] }).to_string()).unwrap();
+    let fill = format!("{FILL} --lidar top.json --dataset copy");
+    let output = log.run(&format!("{fill} --out out"));
+    let printed = String::from_utf8(output.stdout).unwrap();
+    let said = "4 images replaced, 2 kept, 2 LiDAR sweeps replaced: copy";
+    assert_eq!(printed.lines().last(), Some(said), "{printed}");
+    assert!(log.path("copy/samples/0.pcd.bin").is_symlink(), "the sweep of the reference frame");
+    let (copy, recorded) = (opened(&log, "copy"), opened(&log, "log"));
+    for (frame, step) in [(1, "000001"), (2, "000002")] {
+        let sweep = |log: &Log| {
+            let record = log.recording().frames[frame].sweeps.iter().find(|record| record.is_key).unwrap();
+            let found = log.reader().read_sweep(record).unwrap();
+            (record.ego_from_lidar, found.points)
+        };
+        let (ego_from_lidar, found) = sweep(&copy);
+        let bytes = std::fs::read(log.path(&format!("out/steps/{step}/lidar.pcd.bin"))).unwrap();
+        let number = |at: usize| f32::from_le_bytes(bytes[at..at + 4].try_into().unwrap());
+        assert!(found.len() > 50 && bytes.len() == 20 * found.len(), "{}", found.len());
+        assert_ne!(found, sweep(&recorded).1);
+        for (i, point) in found.iter().enumerate() {
+            let expected = [0, 4, 8].map(|at| f64::from(number(20 * i + at)));
+            let place = ego_from_lidar.transform_point(DVec3::from(point.position.map(f64::from)));
+            assert!(place.distance(expected.into()) < 1e-4, "{place} {expected:?}");
+            assert_eq!(f32::from(point.ring), number(20 * i + 16));
+        }
+    }
+    let pcd = log.run(&format!("{fill} --out other --lidar-format pcd"));
+    assert_failed(&pcd, 2, &["expected --lidar-format bin with a copy of the data set, found pcd"]);
 }

@@ -2,6 +2,7 @@
 
 pub(super) mod folder;
 pub(super) mod generated;
+pub(super) mod lidar;
 pub(super) mod mcap;
 pub(super) mod mcap_file;
 pub(super) mod peer_ends;

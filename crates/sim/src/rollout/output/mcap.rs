@@ -11,6 +11,7 @@ use point_skeleton::error::FileError;
 use point_skeleton::files::input::{IMAGE_BYTES, read_file};
 use point_skeleton::files::{FileKind, OutputFile};
 use point_skeleton::geometry::{Cuboid, Pose};
+use point_skeleton::lidar::MAX_RAYS;
 use point_skeleton::raster::MapKind;
 use point_skeleton::scene::{ActorState, SceneState, state_of};
 use pskel_mcap::{SceneFile, Timestamp, camera_topic};
@@ -30,6 +31,9 @@ use crate::state::ego_cuboid;
 /// Files of rollouts.
 pub const MCAP: FileKind =
     FileKind { name: "an MCAP file of pskel", begin: b"\x89MCAP0\r\n", marks: &[b"pskel "] };
+
+/// Maximum size of a file of points: the most rays of a sweep in the longest rows.
+const POINT_BYTES: u64 = 40 * MAX_RAYS as u64;
 
 /// A rollout whose steps are complete.
 pub(in super::super) struct Input<'a> {
@@ -88,7 +92,23 @@ impl Input<'_> {
                 file.write_image(&camera_topic(camera, kind.name()), "png", png, time)?;
             }
         }
+        self.write_points(file, &folder, time)?;
         self.write_generated(file, &folder, &state, time)
+    }
+
+    /// Writes the points of the LiDAR sweep, if the rollout has them.
+    fn write_points<W: Write>(
+        &self,
+        file: &mut SceneFile<W>,
+        folder: &Path,
+        time: Timestamp,
+    ) -> Result<(), FileError> {
+        let Some(format) = self.record.lidar.as_ref().map(|lidar| lidar.format) else { return Ok(()) };
+        let path = folder.join(format.file());
+        let bytes = read_file(&path, POINT_BYTES)?;
+        let expected = || FileError::content("the points of a sweep", "a damaged file", &path);
+        let rows = format.rows(&bytes).ok_or_else(expected)?;
+        file.write_points(&format.columns(), rows.to_vec(), time)
     }
 
     /// Writes generated and ground-truth images, which have a size of their own, with calibrations.

@@ -14,6 +14,7 @@ use point_skeleton::conditions::write::meta::{FrameMeta, PromptParts};
 use point_skeleton::conditions::{ConditionError, ConditionSet};
 use point_skeleton::error::FileError;
 use point_skeleton::files::{OutputFolder, write_json};
+use point_skeleton::lidar::LidarSweep;
 use point_skeleton::scene::SceneState;
 use serde_json::Value;
 
@@ -29,6 +30,7 @@ use crate::report::{BIRDSEYE, StateFile, StepRow, view};
 pub(super) struct Job {
     pub(super) state: SceneState,
     pub(super) set: ConditionSet,
+    pub(super) sweep: Option<LidarSweep>,
     pub(super) row: StepRow,
     pub(super) saved: SavedState,
     pub(super) traces: Vec<Trace>,
@@ -107,6 +109,9 @@ impl Output<'_> {
             self.record.format.write(folder, set, state.t_us, options)?;
             for (state, set) in &job.forecast {
                 self.write_forecast(&folder.join(FORECAST).join(&state.name), state, set)?;
+            }
+            if let (Some(sweep), Some(lidar)) = (&job.sweep, &self.record.lidar) {
+                sweep.write(folder, lidar.format)?;
             }
             times.maps_s = lap(&mut clock);
             view::write(&folder.join(view::VIEW), set, bins)?;
