@@ -24,6 +24,7 @@ try:
         Skeleton,
         __version__,
         fill_holes,
+        score_plans,
         splat,
     )
     from ._build import build
@@ -31,7 +32,7 @@ try:
     from ._export import ExportReport, export
     from ._renderer import Renderer
     from ._simulation import Simulation
-    from ._types import LidarSweep, Maps
+    from ._types import LidarSweep, Maps, PlanScores, Track
 except ModuleNotFoundError as error:
     if error.name != "pskel._pskel":
         raise
@@ -60,6 +61,7 @@ __all__ = [
     "Log",
     "LogError",
     "Maps",
+    "PlanScores",
     "RenderError",
     "Renderer",
     "ResetAndRoll",
@@ -67,10 +69,12 @@ __all__ = [
     "Simulation",
     "SimulationError",
     "Skeleton",
+    "Track",
     "__version__",
     "build",
     "drive",
     "export",
     "fill_holes",
+    "score_plans",
     "splat",
 ]

@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 from typing_extensions import disjoint_base
 
-from ._types import LidarSweep, Maps
+from ._types import LidarSweep, Maps, PlanScores, Track
 
 __version__: str
 
@@ -36,6 +36,7 @@ __all__ = [
     "build",
     "fill_holes",
     "run_command",
+    "score_plans",
     "splat",
 ]
 
@@ -166,6 +167,8 @@ class Log:
     def notes(self) -> dict[str, int]: ...
     @property
     def gaps(self) -> list[str]: ...
+    @property
+    def tracks(self) -> list[Track]: ...
     @property
     def times_us(self) -> list[int]: ...
     @property
@@ -325,6 +328,14 @@ def build(
     logs: Sequence[Log], out: str | PathLike[str], keywords: Mapping[str, Any], progress: _Progress | None
 ) -> Skeleton: ...
 def fill_holes(color: npt.NDArray[np.uint8], depth: npt.NDArray[np.float32]) -> npt.NDArray[np.uint8]: ...
+def score_plans(
+    log: Log,
+    plans: npt.ArrayLike,
+    t_us: int,
+    *,
+    interval_s: float = 0.5,
+    human_filter: bool = False,
+) -> PlanScores: ...
 def splat(
     points: npt.ArrayLike,
     intrinsics: npt.ArrayLike,
