@@ -5,6 +5,7 @@ use std::time::Instant;
 use crate::Error;
 use crate::conditions::distort::{Distorter, PinholeStep};
 use crate::conditions::{ConditionError, ConditionOptions, StepInFlight, check_memory};
+use crate::dataset::Recording;
 use crate::geometry::View;
 use crate::lidar::{self, LidarHit, LidarRays, LidarSpec, LidarSweep, Motion, Solids};
 use crate::maps::Maps;
@@ -260,6 +261,12 @@ impl<'a> Renderer<'a> {
     /// Returns the clouds of a state as instances of the rasterizer.
     pub fn instances(&self, state: &SceneState) -> SceneInstances {
         self.clouds.instances(state, &self.maps.selection)
+    }
+
+    /// Returns the tracks of a log that its boxes alone show, by their first boxes: the skeleton has no points of
+    /// them, and there is no template of their category.
+    pub fn boxes_alone<'l>(&self, log: &'l Recording) -> Vec<&'l str> {
+        self.clouds.boxes_alone(log, &self.maps.selection)
     }
 
     /// Returns the point count of all clouds.

@@ -25,6 +25,7 @@ try:
         __version__,
         fill_holes,
         lidar_spec,
+        score_plans,
         splat,
     )
     from ._build import build
@@ -32,7 +33,7 @@ try:
     from ._export import ExportReport, export
     from ._renderer import Renderer
     from ._simulation import Simulation
-    from ._types import LidarSweep, Maps
+    from ._types import LidarSweep, Maps, PlanScores, Track
 except ModuleNotFoundError as error:
     if error.name != "pskel._pskel":
         raise
@@ -61,6 +62,7 @@ __all__ = [
     "Log",
     "LogError",
     "Maps",
+    "PlanScores",
     "RenderError",
     "Renderer",
     "ResetAndRoll",
@@ -68,11 +70,13 @@ __all__ = [
     "Simulation",
     "SimulationError",
     "Skeleton",
+    "Track",
     "__version__",
     "build",
     "drive",
     "export",
     "fill_holes",
     "lidar_spec",
+    "score_plans",
     "splat",
 ]

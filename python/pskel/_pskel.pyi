@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 from typing_extensions import disjoint_base
 
-from ._types import LidarSweep, Maps
+from ._types import LidarSweep, Maps, PlanScores, Track
 
 __version__: str
 
@@ -36,6 +36,7 @@ __all__ = [
     "build",
     "fill_holes",
     "run_command",
+    "score_plans",
     "splat",
 ]
 
@@ -168,6 +169,8 @@ class Log:
     def notes(self) -> dict[str, int]: ...
     @property
     def gaps(self) -> list[str]: ...
+    @property
+    def tracks(self) -> list[Track]: ...
     @property
     def times_us(self) -> list[int]: ...
     @property
@@ -330,6 +333,14 @@ def build(
 ) -> Skeleton: ...
 def fill_holes(color: npt.NDArray[np.uint8], depth: npt.NDArray[np.float32]) -> npt.NDArray[np.uint8]: ...
 def lidar_spec(name: str) -> dict[str, Any]: ...
+def score_plans(
+    log: Log,
+    plans: npt.ArrayLike,
+    t_us: int,
+    *,
+    interval_s: float = 0.5,
+    human_filter: bool = False,
+) -> PlanScores: ...
 def splat(
     points: npt.ArrayLike,
     intrinsics: npt.ArrayLike,

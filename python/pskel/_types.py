@@ -53,6 +53,34 @@ LidarSweep = TypedDict(
 """
 
 
+class Track(TypedDict):
+    """Track of a log: id, category, median length, width and height, times of the first and last box, number of frames with a box, and
+    length of its path in meters."""
+
+    track: str
+    category: str
+    size_m: list[float]
+    t_us: list[int]
+    frames: int
+    path_m: float
+
+
+class PlanScores(TypedDict):
+    """PDMS, EPDMS and their sub-scores of plans, ``[P]`` each, 0 to 1."""
+
+    no_at_fault_collisions: npt.NDArray[np.float64]
+    drivable_area_compliance: npt.NDArray[np.float64]
+    driving_direction_compliance: npt.NDArray[np.float64]
+    traffic_light_compliance: npt.NDArray[np.float64]
+    ego_progress: npt.NDArray[np.float64]
+    time_to_collision_within_bound: npt.NDArray[np.float64]
+    lane_keeping: npt.NDArray[np.float64]
+    history_comfort: npt.NDArray[np.float64]
+    comfort: npt.NDArray[np.float64]
+    pdms: npt.NDArray[np.float64]
+    epdms: npt.NDArray[np.float64]
+
+
 class _MapKeywords(TypedDict, total=False):
     """Keyword arguments of every function that renders maps, besides augmentation."""
 

@@ -20,6 +20,7 @@ mod maps;
 mod pool;
 mod renderer;
 mod scene;
+mod scores;
 mod simulation;
 mod skeleton;
 mod splat;
@@ -57,6 +58,8 @@ mod _pskel {
     use crate::renderer::{Frames, Renderer};
     #[pymodule_export]
     use crate::scene::{Actor, Camera, Scene};
+    #[pymodule_export]
+    use crate::scores::score_plans;
     #[pymodule_export]
     use crate::simulation::Simulation;
     #[pymodule_export]

@@ -2,8 +2,8 @@ use std::sync::Arc;
 
 use super::edited::apply;
 use super::{
-    ActorEdits, Appearance, DatasetError, EditError, ImageRecord, LogReader, PosedActor, Recording, Sweep,
-    SweepRecord, VectorMap, ViewRenderer,
+    Action, ActorEdits, Appearance, Change, DatasetError, EditError, ImageRecord, LogReader, PosedActor,
+    Recording, Sweep, SweepRecord, VectorMap, ViewRenderer,
 };
 use crate::geometry::View;
 use crate::scene::EgoOffset;
@@ -44,6 +44,13 @@ impl ChangedLog {
         let log = apply(edits, reader.recording())?;
         Ok(Self { log, reader })
     }
+
+    /// Returns the track that an actor looks like at a time, absolute microseconds; `None` for a template.
+    fn asset_at<'a>(&'a self, track: &'a str, t_us: i64) -> Option<&'a str> {
+        let index = self.log.tracks.iter().position(|known| known.id == track);
+        let look = index.and_then(|index| self.log.script.look_at(index, t_us));
+        look.map_or_else(|| self.log.edits.asset(track), |look| Appearance::asset(Some(look), track))
+    }
 }
 
 impl LogReader for ChangedLog {
@@ -83,12 +90,14 @@ impl LogReader for ChangedLog {
         }
         let edits = &self.log.edits;
         let is_of_log = |track: &&str| self.reader.recording().tracks.iter().any(|known| known.id == **track);
+        let is_drawn = |change: &Change| change.action != Action::Replace(Appearance::Template);
         let changed = edits.changes.iter().map(|change| &change.track).chain(edits.replace.keys());
         let is_known = changed.into_iter().all(|track| {
             let has_file =
                 matches!(edits.replace.get(track), Some(Appearance::File(_) | Appearance::Skeleton { .. }));
             !has_file && edits.asset(track).as_ref().is_some_and(is_of_log)
         });
+        let is_known = is_known && edits.changes.iter().all(is_drawn);
         self.reader.view_renderer().filter(|_| is_known).map(|_| self as &dyn ViewRenderer)
     }
 }
@@ -111,7 +120,7 @@ impl ViewRenderer for ChangedLog {
             }
         };
         let shown = own.iter().filter_map(|actor| {
-            let track = self.log.edits.asset(actor.track)?;
+            let track = self.asset_at(actor.track, t_us)?;
             Some(PosedActor { track, cuboid: actor.cuboid })
         });
         renderer.render_views(t_us, Some(&shown.collect::<Vec<_>>()), views)

@@ -45,7 +45,7 @@ pub(super) fn apply(edits: &ActorEdits, log: &Recording) -> Result<Recording, Ed
 fn resize(log: &mut Recording, track: usize, size: DVec3) {
     let boxes = log.frames.iter_mut().flat_map(|frame| &mut frame.boxes);
     for item in boxes.filter(|item| item.track == track) {
-        item.cuboid = on_ground(&item.cuboid, size);
+        item.cuboid = item.cuboid.resized(size);
     }
 }
 
@@ -62,12 +62,6 @@ fn no_box(log: &Recording, track: usize, t_us: i64) -> EditError {
     let (first_us, last_us) = (time_us(boxes.first()), time_us(boxes.last()));
     let (track, log) = (log.tracks[track].id.clone(), log.name.clone());
     EditError::NoBox { track, log, first_us, last_us, t_us }
-}
-
-/// Returns a box of another size on the same ground.
-fn on_ground(cuboid: &Cuboid, size: DVec3) -> Cuboid {
-    let up = cuboid.pose.rotation * (DVec3::Z * ((size.z - cuboid.size.z) / 2.0));
-    Cuboid { pose: Pose { translation: cuboid.pose.translation + up, ..cuboid.pose }, size }
 }
 
 #[cfg(test)]

@@ -46,6 +46,7 @@ mod summary;
 mod sweeps;
 #[cfg(feature = "av2")]
 mod tables;
+mod track_summary;
 #[cfg(any(feature = "nuplan", feature = "123d"))]
 mod wkb;
 
@@ -70,6 +71,7 @@ pub use scenario::{
     Triggers, When,
 };
 pub use summary::{BoxCounts, CameraSummary, EgoPath, LogSummary, MapCounts};
+pub use track_summary::TrackSummary;
 
 use std::collections::BTreeMap;
 use std::io::ErrorKind;

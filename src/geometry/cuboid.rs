@@ -71,6 +71,14 @@ impl Cuboid {
         local.abs().cmple(half).all()
     }
 
+    /// Returns the box with another size (length, width, height in meters) on the same ground: its lower face
+    /// stays where it is.
+    #[must_use]
+    pub fn resized(&self, size: DVec3) -> Self {
+        let up = self.pose.rotation * (DVec3::Z * ((size.z - self.size.z) / 2.0));
+        Self { pose: Pose { translation: self.pose.translation + up, ..self.pose }, size }
+    }
+
     /// Interpolates between two boxes: linear position and size, slerp rotation.
     pub fn interpolate(&self, other: &Self, s: f64) -> Self {
         // A weighted mean of equal sizes could differ in the last bit.

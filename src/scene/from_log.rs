@@ -4,7 +4,7 @@ use std::str::FromStr;
 use glam::{DQuat, DVec3};
 
 use super::{ActorState, SceneCamera, SceneState};
-use crate::dataset::{EgoTrack, Frame, ImageRecord, Recording, RigCamera, TrackBox};
+use crate::dataset::{Appearance, EgoTrack, Frame, ImageRecord, Recording, RigCamera, TrackBox};
 use crate::geometry::{ParseOptionError, Pose, View};
 
 /// Returns the name of a frame's state.
@@ -145,7 +145,7 @@ pub fn state_of_frame(log: &Recording, index: usize, offset: EgoOffset) -> Optio
         t_us: frame.t_us,
         global_from_ego: frame.global_from_ego * offset.pose(),
         cameras: rig_at(log, frame).into_iter().map(camera).collect(),
-        actors: actors(log, &frame.boxes),
+        actors: actors(log, frame.t_us, &frame.boxes),
         map: None,
     })
 }
@@ -194,7 +194,7 @@ pub fn state_of(log: &Recording, t_us: i64, global_from_ego: Pose, boxes: &[Trac
         t_us,
         global_from_ego,
         cameras: rig.iter().map(|rig| scene_camera(rig, global_from_ego)).collect(),
-        actors: actors(log, boxes),
+        actors: actors(log, t_us, boxes),
         map: None,
     }
 }
@@ -229,15 +229,21 @@ fn scene_camera(rig: &RigCamera, global_from_ego: Pose) -> SceneCamera {
     }
 }
 
-fn actors(log: &Recording, boxes: &[TrackBox]) -> Vec<ActorState> {
+/// Returns the actors with their looks at a time, absolute microseconds.
+pub(super) fn actors(log: &Recording, t_us: i64, boxes: &[TrackBox]) -> Vec<ActorState> {
     let actor = |item: &TrackBox| {
         let track = &log.tracks[item.track];
+        let look = log.script.look_at(item.track, t_us);
+        let like = look.and_then(|look| match look {
+            Appearance::Track(other) => log.tracks.iter().find(|known| known.id == *other),
+            _ => None,
+        });
         ActorState {
             track: track.id.clone(),
-            category: track.category.clone(),
+            category: like.unwrap_or(track).category.clone(),
             class: track.class,
             cuboid: item.cuboid,
-            appearance: log.edits.replace.get(&track.id).cloned(),
+            appearance: look.or_else(|| log.edits.replace.get(&track.id)).cloned(),
         }
     };
     boxes.iter().map(actor).collect()

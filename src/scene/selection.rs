@@ -3,7 +3,9 @@ use std::collections::BTreeMap;
 use glam::{DAffine3, DVec3};
 use serde::Serialize;
 
+use super::from_log::actors;
 use super::{ActorState, SceneState, Substitutes};
+use crate::dataset::{Recording, TrackBox};
 use crate::raster::{CloudSet, Instance};
 use crate::skeleton::{Skeleton, TemplateKind};
 use crate::{named, named_in_files};
@@ -136,6 +138,24 @@ impl<'a> SceneClouds<'a> {
             both.geometry.extend(if self.is_one_cloud { color } else { geometry });
         }
         both
+    }
+
+    /// Returns the tracks of a log that no cloud shows in geometry maps, by their first boxes: the skeleton has
+    /// no points of them, and there is no template of their category.
+    pub fn boxes_alone<'l>(&self, log: &'l Recording, options: &SelectionOptions) -> Vec<&'l str> {
+        let mut is_known = vec![false; log.tracks.len()];
+        let mut alone = Vec::new();
+        for frame in &log.frames {
+            let mut is_new = |item: &&TrackBox| !std::mem::replace(&mut is_known[item.track], true);
+            let boxes: Vec<TrackBox> = frame.boxes.iter().filter(&mut is_new).copied().collect();
+            for (item, actor) in boxes.iter().zip(actors(log, frame.t_us, &boxes)) {
+                if self.actor_instances(&actor, 1, options).1.is_none() {
+                    alone.push(log.tracks[item.track].id.as_str());
+                }
+            }
+        }
+        alone.sort_unstable();
+        alone
     }
 
     /// Selects the color and geometry clouds of one actor: the table "two clouds" of the condition contract.

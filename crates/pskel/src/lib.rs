@@ -23,7 +23,7 @@ use point_skeleton::files::lacks_locks;
 use point_skeleton::memory::variable_limit;
 use point_skeleton::threads::start_pool;
 
-use self::terminal::{print_notes, print_progress, print_result, warn};
+use self::terminal::{print_notes, print_progress, print_result, warn, warn_of_boxes_alone};
 
 /// Converts driving recordings into camera conditions: color, metric depth, class, instance and layout maps.
 #[derive(Debug, Parser)]

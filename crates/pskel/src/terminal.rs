@@ -4,7 +4,7 @@ use std::io::{ErrorKind, Write};
 use std::path::Path;
 use std::sync::OnceLock;
 
-use point_skeleton::files::text::{escaped_lines, printable_lines};
+use point_skeleton::files::text::{escaped_lines, printable, printable_lines};
 
 /// First error of writing the result.
 static FAILURE: OnceLock<std::io::Error> = OnceLock::new();
@@ -32,6 +32,22 @@ pub(super) fn print_progress(line: &str) {
 /// Prints a warning.
 pub(super) fn warn(text: &str) {
     print_progress(&format!("warning: {text}"));
+}
+
+/// Warns of actors that only their boxes show. `tracks` are theirs; none gives no warning.
+pub(super) fn warn_of_boxes_alone(tracks: &[&str]) {
+    const SHOWN: usize = 5;
+    let Some((first, others)) = tracks.split_first() else { return };
+    let (count, actors, theirs) = match others {
+        [] => (1, "actor has", "its box is"),
+        _ => (tracks.len(), "actors have", "their boxes are"),
+    };
+    let shown = others
+        .iter()
+        .take(SHOWN - 1)
+        .fold(printable(first).into_owned(), |list, track| format!("{list}, {}", printable(track)));
+    let more = if count > SHOWN { format!(" and {} more", count - SHOWN) } else { String::new() };
+    warn(&format!("{count} {actors} neither points nor a template, only {theirs} shown: {shown}{more}"));
 }
 
 /// Prints notes on the content of a file.

@@ -174,12 +174,18 @@ impl<'a> Recorded<'a> {
         self.route.around(self.route.station_at(t_us), place_m).project(place_m)
     }
 
-    /// Returns a track's boxes after a time on the path of log or script, in time order.
+    /// Returns a track's boxes after a time on the path of log or script, in time order, without the script's
+    /// changes of its size.
     pub(super) fn boxes_after(&self, track: usize, t_us: i64, triggers: &Triggers) -> Vec<Cuboid> {
         let script = &self.log.script;
         if script.has_path(track, t_us, triggers) {
             let times_us = (1..=AHEAD_STEPS).map(|step| t_us.saturating_add(step * AHEAD_STEP_US));
-            return times_us.map_while(|t_us| script.box_at(track, t_us, triggers)).collect();
+            let resized = |t_us: i64| {
+                let cuboid = script.box_at(track, t_us, triggers)?;
+                let sizes = script.sizes_at(track, t_us, triggers);
+                Some(sizes.map_or(cuboid, |[without, _]| cuboid.resized(without)))
+            };
+            return times_us.map_while(resized).collect();
         }
         let later = self.tracks[track].iter().filter(|(at, _)| *at > t_us);
         later.map(|(_, cuboid)| *cuboid).collect()

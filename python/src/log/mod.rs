@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use numpy::{PyArray1, PyArray4, PyArrayMethods};
-use point_skeleton::dataset::{Frame, Gap, LogLocator, LogOpener, ReadOptions, register};
+use point_skeleton::dataset::{Frame, Gap, LogLocator, LogOpener, ReadOptions, TrackSummary, register};
 use point_skeleton::error::with_causes;
 use point_skeleton::geometry::View;
 use point_skeleton::scene::GroundTruthImages;
@@ -124,6 +124,25 @@ impl Log {
     #[getter]
     fn gaps(&self) -> Vec<String> {
         self.inner.recording().gaps.iter().map(ToString::to_string).collect()
+    }
+
+    /// Tracks with boxes, by id, as scenarios name them: dictionaries of `track`, `category`, `size_m` (median
+    /// length, width and height), `t_us` (first and last box, absolute microseconds), `frames` and `path_m`
+    /// (length of the path).
+    #[getter]
+    fn tracks<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyList>> {
+        let tracks = TrackSummary::of(self.inner.recording());
+        let dictionary = |TrackSummary { track, category, size_m, t_us, frames, path_m }: TrackSummary| {
+            let fields = PyDict::new(py);
+            fields.set_item("track", track)?;
+            fields.set_item("category", category)?;
+            fields.set_item("size_m", size_m.to_vec())?;
+            fields.set_item("t_us", t_us.to_vec())?;
+            fields.set_item("frames", frames)?;
+            fields.set_item("path_m", path_m)?;
+            Ok(fields)
+        };
+        PyList::new(py, tracks.into_iter().map(dictionary).collect::<PyResult<Vec<_>>>()?)
     }
 
     /// Arguments with which commands open this log: its name, and options that are not the default. Raises

@@ -12,6 +12,7 @@ use std::sync::Arc;
 
 use glam::DVec3;
 
+use super::track_summary::median_size;
 use super::{ActorEdits, Class, DatasetError, Gap, MissingData, ReadOptions, Script};
 use crate::files::FileName;
 use crate::files::text::printable;
@@ -228,13 +229,7 @@ impl Recording {
 
     /// Returns the median length, width and height of a track's boxes, meters; 1 m without boxes.
     pub fn median_size(&self, track: usize) -> DVec3 {
-        let boxes = self.track_boxes(track);
-        let median = |axis: usize| {
-            let mut sizes: Vec<f64> = boxes.iter().map(|(_, cuboid)| cuboid.size[axis]).collect();
-            sizes.sort_by(f64::total_cmp);
-            sizes.get(sizes.len() / 2).copied().unwrap_or(1.0)
-        };
-        DVec3::new(median(0), median(1), median(2))
+        median_size(self.track_boxes(track).iter().map(|(_, cuboid)| cuboid.size))
     }
 
     /// Returns all boxes at any time within the log, sorted by track, interpolated between the frames before

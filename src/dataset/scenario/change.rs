@@ -1,5 +1,7 @@
 use serde::{Deserialize, Serialize};
 
+use crate::dataset::Appearance;
+
 /// One change of one actor.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -32,6 +34,11 @@ pub enum Action {
     Path(Path),
     /// The actor follows its path by the Intelligent Driver Model; in simulations alone.
     Idm,
+    /// The actor has another length, width and height on the same ground, meters. It moves as without this.
+    Resize([f64; 3]),
+    /// The actor looks like another track of the log, with its size, or like the template of its category. It
+    /// moves as without this. Begin and end are times.
+    Replace(Appearance),
 }
 
 /// A new actor.

@@ -7,8 +7,9 @@ use super::ground::Ground;
 use super::motion::Motion;
 use super::place::Axes;
 use super::script::{Deed, Event, Script, ScriptActor, Step, Target};
-use crate::dataset::{EditError, EgoTrack, Recording};
+use crate::dataset::{Appearance, EditError, EgoTrack, Recording};
 use crate::files::text::printable;
+use crate::geometry::{Cuboid, Pose};
 
 /// Maximum number of changes, which bounds the time for a box.
 const MAX_CHANGES: usize = 1000;
@@ -106,6 +107,8 @@ impl Context<'_> {
                 Deed::Path(motion, axes)
             }
             Action::Idm => Deed::Idm,
+            Action::Resize(size_m) => Deed::Resize(checked_size(*size_m)?),
+            Action::Replace(look) => self.replaced(track, look)?,
         };
         let own = match &deed {
             Deed::Insert(place, axes) => Target::Point(axes.place(place).0),
@@ -114,6 +117,10 @@ impl Context<'_> {
         let first = When::TUs(self.ends_us.map_or(0, |[first_us, _]| first_us));
         let start = self.event(change.start.as_ref().unwrap_or(&first), &own, true)?;
         let end = change.end.as_ref().map(|end| self.event(end, &Target::Track(track), false)).transpose()?;
+        let waits = [Some(&start), end.as_ref()].into_iter().flatten().any(|e| matches!(e, Event::Near(..)));
+        if waits && matches!(deed, Deed::Replace(..)) {
+            return Err(mismatch("replace from a time on, to a time", "a condition"));
+        }
         if let (Event::At(start_us), Some(Event::At(end_us))) = (&start, &end)
             && end_us <= start_us
         {
@@ -128,6 +135,30 @@ impl Context<'_> {
             let expected = format!("a track of log {} or an inserted one", self.log.shown_name());
             (expected, format!("{:?}", printable(id)))
         })
+    }
+
+    /// Returns the deed of another look.
+    fn replaced(&self, track: usize, look: &Appearance) -> Result<Deed, Mismatch> {
+        let size = match look {
+            Appearance::Template => None,
+            Appearance::Track(other) => {
+                let class = self.log.tracks[track].class;
+                let fits = |other: &usize| {
+                    self.log.tracks[*other].class == class && !self.log.track_boxes(*other).is_empty()
+                };
+                let found = self.log.tracks.iter().position(|known| known.id == *other).filter(fits);
+                let missing =
+                    || mismatch("the look of a track with the actor's class", &format!("{other:?}"));
+                Some(self.log.median_size(found.ok_or_else(missing)?))
+            }
+            Appearance::File(_) | Appearance::Skeleton { .. } => {
+                return Err(mismatch(
+                    "a track of the log, or template: files are for the whole log",
+                    "a file",
+                ));
+            }
+        };
+        Ok(Deed::Replace(look.clone(), size))
     }
 
     /// Returns the axes of an anchor; `None` for the actor's own.
@@ -232,6 +263,11 @@ fn checked_shift(shift: Shift) -> Result<Shift, Mismatch> {
     }
     let expected = format!("a shift of at most {MAX_SHIFT_M} m and a finite yaw_deg");
     Err((expected, format!("{shift:?}")))
+}
+
+fn checked_size(size_m: [f64; 3]) -> Result<DVec3, Mismatch> {
+    let is_size = Cuboid::new(Pose::IDENTITY, size_m.into()).is_ok();
+    if is_size { Ok(size_m.into()) } else { Err(mismatch("the size of a box", &format!("{size_m:?} m"))) }
 }
 
 fn finite_point(point: [f64; 2]) -> Result<DVec2, Mismatch> {

@@ -7,7 +7,7 @@ use super::ground::Ground;
 use super::motion::Motion;
 use super::place::{Axes, standing};
 use super::triggers::Triggers;
-use crate::dataset::Recording;
+use crate::dataset::{Appearance, Recording};
 use crate::geometry::{Cuboid, Pose};
 
 /// Timed changes of a log's actors, in its global frame.
@@ -42,6 +42,14 @@ pub(super) struct Step {
     pub(super) end: Option<Event>,
 }
 
+impl Step {
+    /// Returns whether a change between two times applies at a time, absolute microseconds.
+    fn applies(&self, t_us: i64) -> bool {
+        matches!(self.start, Event::At(start_us) if start_us <= t_us)
+            && self.end.as_ref().is_none_or(|end| matches!(end, Event::At(end_us) if t_us < *end_us))
+    }
+}
+
 /// What a change does.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) enum Deed {
@@ -53,6 +61,26 @@ pub(super) enum Deed {
     /// As `Move`; the motion is in the frame of the axes.
     Path(Motion, Option<Axes>),
     Idm,
+    /// Length, width and height, meters.
+    Resize(DVec3),
+    /// With the size of the track that is looked like, meters.
+    Replace(Appearance, Option<DVec3>),
+}
+
+impl Deed {
+    /// Returns whether it changes how an actor moves rather than its size or look.
+    fn moves(&self) -> bool {
+        !matches!(self, Self::Resize(_) | Self::Replace(..))
+    }
+
+    /// Returns the size that it gives an actor, meters.
+    fn size(&self) -> Option<DVec3> {
+        match self {
+            Self::Resize(size) => Some(*size),
+            Self::Replace(_, size) => *size,
+            _ => None,
+        }
+    }
 }
 
 /// Begin or end of a change.
@@ -104,38 +132,66 @@ impl Script {
 
     /// Returns who moves an actor at a time, absolute microseconds.
     pub fn command(&self, track: usize, t_us: i64, triggers: &Triggers) -> Command {
-        let steps = self.actors.get(&track).map_or(&[][..], |actor| &actor.steps);
-        let last = steps.iter().rev().find(|step| triggers.since(**step, t_us).is_some());
-        last.map_or(Command::Free, |step| match self.steps[*step].deed {
+        let last = self.applying(track, t_us, triggers).find(|(deed, _)| deed.moves());
+        last.map_or(Command::Free, |(deed, _)| match deed {
             Deed::Idm => Command::Idm,
             Deed::Remove => Command::Absent,
             _ => Command::Script,
         })
     }
 
-    /// Returns the begin of the change that decides at a time, both absolute microseconds; `None` if none
-    /// applies.
+    /// Returns the begin of the change that decides where an actor is at a time, both absolute microseconds;
+    /// `None` if none applies.
     pub fn since(&self, track: usize, t_us: i64, triggers: &Triggers) -> Option<i64> {
+        self.applying(track, t_us, triggers).find(|(deed, _)| deed.moves()).map(|(_, since_us)| since_us)
+    }
+
+    /// Returns the changes of an actor that apply at a time with their begins (both absolute microseconds), the
+    /// last one first.
+    fn applying(&self, track: usize, t_us: i64, triggers: &Triggers) -> impl Iterator<Item = (&Deed, i64)> {
         let steps = self.actors.get(&track).map_or(&[][..], |actor| &actor.steps);
-        steps.iter().rev().find_map(|step| triggers.since(*step, t_us))
+        steps
+            .iter()
+            .rev()
+            .filter_map(move |step| Some((&self.steps[*step].deed, triggers.since(*step, t_us)?)))
+    }
+
+    /// Returns what a track looks like at a time (absolute microseconds) by its last change of the look;
+    /// `None` without one.
+    pub fn look_at(&self, track: usize, t_us: i64) -> Option<&Appearance> {
+        let changed = self.actors.get(&track)?.steps.iter().rev().map(|step| &self.steps[*step]);
+        changed.filter(|step| step.applies(t_us)).find_map(|step| match &step.deed {
+            Deed::Replace(look, _) => Some(look),
+            _ => None,
+        })
+    }
+
+    /// Returns the sizes (meters) of a track that has changes of its size: without any, and at a time,
+    /// absolute microseconds. `None` for other tracks.
+    pub fn sizes_at(&self, track: usize, t_us: i64, triggers: &Triggers) -> Option<[DVec3; 2]> {
+        let actor = self.actors.get(&track)?;
+        actor.steps.iter().find(|step| self.steps[**step].deed.size().is_some())?;
+        let now = self.applying(track, t_us, triggers).find_map(|(deed, _)| deed.size());
+        Some([actor.size, now.unwrap_or(actor.size)])
     }
 
     /// Returns whether an actor that follows a driver model drives along the path of the script rather than
     /// the log's.
     pub fn has_path(&self, track: usize, t_us: i64, triggers: &Triggers) -> bool {
-        let steps = self.actors.get(&track).map_or(&[][..], |actor| &actor.steps);
-        let is_path = |step: &&usize| !matches!(self.steps[**step].deed, Deed::Idm);
-        steps.iter().filter(is_path).any(|step| triggers.since(*step, t_us).is_some())
+        self.applying(track, t_us, triggers).any(|(deed, _)| deed.moves() && !matches!(deed, Deed::Idm))
     }
 
     /// Returns the box of a changed track at a time (absolute microseconds), which may lie after the log;
     /// `None` if it is not there. Actors under [`Command::Idm`] are where they would be without it.
     pub fn box_at(&self, track: usize, t_us: i64, triggers: &Triggers) -> Option<Cuboid> {
         let actor = self.actors.get(&track)?;
-        self.before(actor, actor.steps.len(), t_us, triggers)
+        let cuboid = self.before(actor, actor.steps.len(), t_us, triggers)?;
+        let size = self.applying(track, t_us, triggers).find_map(|(deed, _)| deed.size());
+        Some(size.map_or(cuboid, |size| cuboid.resized(size)))
     }
 
-    /// Returns the box of an actor by its first `count` changes. The last one that applies decides.
+    /// Returns the box of an actor by its first `count` changes, without changes of its size. The last one that
+    /// applies decides.
     fn before(&self, actor: &ScriptActor, count: usize, t_us: i64, triggers: &Triggers) -> Option<Cuboid> {
         for (place, step) in actor.steps[..count].iter().enumerate().rev() {
             let Some(since_us) = triggers.since(*step, t_us) else { continue };
@@ -144,7 +200,7 @@ impl Script {
                 None => self.before(actor, place, since_us, triggers).map(|cuboid| self.anchor(&cuboid)),
             };
             let ((center, yaw_rad), rise_m) = match &self.steps[*step].deed {
-                Deed::Idm => continue,
+                Deed::Idm | Deed::Resize(_) | Deed::Replace(..) => continue,
                 Deed::Remove => return None,
                 Deed::Shift(shift) => {
                     return self.before(actor, place, t_us, triggers).map(|cuboid| shifted(&cuboid, shift));

@@ -53,7 +53,9 @@ impl Follower {
         triggers: &Triggers,
     ) -> Option<Self> {
         let later = recorded.boxes_after(actor.track, t_us, triggers).into_iter().map(|cuboid| cuboid.pose);
-        let mut poses = vec![actor.cuboid.pose];
+        let sizes = recorded.log.script.sizes_at(actor.track, t_us, triggers);
+        let first = sizes.map_or(actor.cuboid, |[of_path, _]| actor.cuboid.resized(of_path));
+        let mut poses = vec![first.pose];
         let place = |pose: &Pose| pose.translation.truncate();
         for pose in later.filter(|pose| pose.translation.is_finite()) {
             if poses.last().is_some_and(|last| place(last).distance(place(&pose)) >= KNOT_STEP_M) {

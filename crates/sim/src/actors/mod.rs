@@ -19,7 +19,9 @@ pub use idm::idm_step;
 
 use std::collections::{BTreeMap, BTreeSet};
 
+use glam::DVec3;
 use point_skeleton::dataset::{Class, Command, TrackBox, Triggers};
+use point_skeleton::geometry::Cuboid;
 use serde::{Deserialize, Serialize};
 
 use self::idm::Follower;
@@ -82,11 +84,20 @@ impl Mover {
         }
     }
 
-    fn step(&mut self, actor: &SimActor, others: &Others, dt_s: f64) -> SimActor {
-        match self {
+    /// Advances the actor by one step. `sizes` are without and with the scenario's changes of its size at the
+    /// next step, meters; `None` if there are no such changes.
+    fn step(&mut self, actor: &SimActor, others: &Others, dt_s: f64, sizes: Option<[DVec3; 2]>) -> SimActor {
+        let moved = match self {
             Self::Idm(follower) => follower.step(actor, others, dt_s),
             Self::Reactive(cruiser) => cruiser.step(actor, others, dt_s),
-        }
+        };
+        let Some([of_path, size]) = sizes else { return moved };
+        let cuboid = match self {
+            // The path has the heights of centers without changes of the size.
+            Self::Idm(_) => Cuboid { size: of_path, ..moved.cuboid },
+            Self::Reactive(_) => moved.cuboid,
+        };
+        SimActor { cuboid: cuboid.resized(size), ..moved }
     }
 }
 
@@ -148,7 +159,8 @@ pub(super) fn advance(
     let mut actors = Vec::new();
     for actor in &now.actors {
         let Some(mover) = driven.movers.get_mut(&actor.track) else { continue };
-        let moved = mover.step(actor, &others, dt_s);
+        let sizes = recorded.log.script.sizes_at(actor.track, t_us, &driven.triggers);
+        let moved = mover.step(actor, &others, dt_s, sizes);
         if near(ego, &moved) {
             actors.push(moved);
         } else {
@@ -178,6 +190,11 @@ pub(super) fn meet_conditions(recorded: &Recorded<'_>, instant: &mut Instant, dr
         |track: usize| matches!(script.command(track, t_us, triggers), Command::Script | Command::Absent);
     driven.movers.retain(|track, _| !moved(*track));
     instant.actors.retain(|a| driven.movers.contains_key(&a.track) || script.tracks().all(|t| t != a.track));
+    for actor in &mut instant.actors {
+        if let Some([_, size]) = script.sizes_at(actor.track, t_us, triggers) {
+            actor.cuboid = actor.cuboid.resized(size);
+        }
+    }
     let free = script.tracks().filter(|track| !driven.movers.contains_key(track));
     let free = free.filter(|track| !driven.gone.contains(track) || moved(*track));
     let actor = |track: usize| {

@@ -139,12 +139,13 @@ fn points(family: Family, ego: &EgoState, target: &Target, took_s: f64, draw: Dr
             vec![(ahead + forward * along_m + left * offset_m, speed_mps), (ahead, 0.0)]
         }
         Family::Side | Family::Crossing => {
-            let (distance_m, first_mps) = match family {
+            let (distance_m, beyond_m, first_mps) = match family {
                 Family::Crossing => {
                     let distance_m = draw.uniform("distance", 3.5, 6.0);
-                    (distance_m, distance_m / took_s)
+                    (distance_m, distance_m, distance_m / took_s)
                 }
-                _ => (draw.uniform("distance", 6.0, 9.0), 1.0),
+                // As far beyond the way as it still may be on the road.
+                _ => (draw.uniform("distance", 6.0, 9.0), draw.uniform("beyond", 3.5, 6.0), 1.0),
             };
             let speed_mps = 2.0 * distance_m / took_s - first_mps;
             let tilt = DVec2::from_angle(draw.uniform("angle", -0.2, 0.2));
@@ -152,8 +153,8 @@ fn points(family: Family, ego: &EgoState, target: &Target, took_s: f64, draw: Dr
             vec![
                 (across + from * distance_m, first_mps),
                 (across, speed_mps),
-                (across - from * (distance_m * 0.6), speed_mps),
-                (across - from * distance_m, 0.0),
+                (across - from * (beyond_m * 0.6), speed_mps),
+                (across - from * beyond_m, 0.0),
             ]
         }
         Family::CutIn => {

@@ -14,8 +14,11 @@ mod family;
 mod space;
 mod trial;
 
+use std::collections::BTreeMap;
+
 use point_skeleton::Log;
 use point_skeleton::dataset::{Action, ActorEdits, Change, EditError};
+use point_skeleton::files::text::printable;
 
 use self::course::Course;
 use self::draw::Draw;
@@ -47,9 +50,11 @@ pub enum FamilyError {
     /// The ego is never fast enough.
     #[error(
         "expected an ego with {min_mps} m/s or more about 3 s after a time that is {seconds} s before the \
-            log's end, found none"
+            end of log {log}, found none"
     )]
     Slow {
+        /// Name of the log.
+        log: String,
         /// Minimum speed, meters per second.
         min_mps: f64,
         /// Minimum time until the end of the log, seconds.
@@ -57,14 +62,17 @@ pub enum FamilyError {
     },
     /// Something is always in the way.
     #[error(
-        "expected free space for a {} scenario, found {found} in the last of {DRAWS} draws",
-        family.name()
+        "expected free space for a {} scenario of log {log}, found in the way of {DRAWS} draws: {}",
+        family.name(),
+        counted(found)
     )]
     Blocked {
         /// The family.
         family: Family,
-        /// What is in the way.
-        found: String,
+        /// Name of the log.
+        log: String,
+        /// What is in the way, with the number of draws.
+        found: BTreeMap<String, usize>,
     },
     /// The log cannot be edited.
     #[error(transparent)]
@@ -85,6 +93,7 @@ pub fn family_scenario(
     space: Option<&StaticSpace>,
 ) -> Result<FamilyScenario, FamilyError> {
     let recording = log.recording();
+    let name = || recording.shown_name().into_owned();
     let no_frames = || SimError::NoFrames { log: recording.name.clone() };
     let recorded = Recorded::new(recording).ok_or_else(no_frames)?;
     let road = log.map().and_then(|map| Road::new(map.vector_map()));
@@ -93,16 +102,21 @@ pub fn family_scenario(
     let road = road.as_ref().filter(|_| stays_on_road);
     let starts = course::starts(&recorded);
     if starts.is_empty() {
-        return Err(FamilyError::Slow { min_mps: course::MIN_SPEED_MPS, seconds: course::AHEAD_S });
+        let (log, min_mps, seconds) = (name(), course::MIN_SPEED_MPS, course::AHEAD_S);
+        return Err(FamilyError::Slow { log, min_mps, seconds });
     }
-    let mut found = String::new();
+    let mut found = BTreeMap::new();
     for number in 0..DRAWS {
         let draw = Draw { family: family.name(), seed, number };
-        let Some(mut course) = Course::drawn(&recorded, family, &starts, draw) else { continue };
+        let mut count = |what: String| *found.entry(what).or_insert(0) += 1;
+        let Some(mut course) = Course::drawn(&recorded, family, &starts, draw) else {
+            count("a slow ego".to_owned());
+            continue;
+        };
         let (mut edited, mut removed) = (log.edited(&course.edits)?, 0);
         let obstacle = loop {
             match in_the_way(&recorded, edited.recording(), &course, road, space) {
-                Some(Obstacle::Actor(track, _)) if removed < MAX_REMOVED => {
+                Some(Obstacle::Actor(track)) if removed < MAX_REMOVED => {
                     course.edits.changes.push(Change {
                         track,
                         action: Action::Remove,
@@ -112,21 +126,28 @@ pub fn family_scenario(
                     removed += 1;
                     edited = log.edited(&course.edits)?;
                 }
-                Some(Obstacle::Actor(track, at)) => break Some(format!("track {track} {at}")),
-                Some(Obstacle::Fixed(text)) => break Some(text),
+                Some(Obstacle::Actor(track)) => break Some(format!("track {}", printable(&track))),
+                Some(Obstacle::Fixed(text)) => break Some(text.to_owned()),
                 None => break None,
             }
         };
         if let Some(obstacle) = obstacle {
-            found = obstacle;
+            count(obstacle);
             continue;
         }
         match trial::run(&edited, &course)? {
             Ok(collision_us) => {
                 return Ok(FamilyScenario { edits: course.edits, start_us: course.start_us, collision_us });
             }
-            Err(other) => found = other,
+            Err(other) => count(other.to_owned()),
         }
     }
-    Err(FamilyError::Blocked { family, found })
+    Err(FamilyError::Blocked { family, log: name(), found })
+}
+
+/// Lists what is in the way with the number of draws, the most frequent first.
+fn counted(found: &BTreeMap<String, usize>) -> String {
+    let mut all: Vec<(&String, &usize)> = found.iter().collect();
+    all.sort_by_key(|(_, count)| std::cmp::Reverse(**count));
+    all.iter().map(|(what, count)| format!("{what} ({count})")).collect::<Vec<_>>().join(", ")
 }

@@ -64,13 +64,13 @@ impl StaticSpace {
         Ok(Self(cells))
     }
 
-    /// Returns the center of an occupied cell in a footprint, global meters.
-    fn in_the_way(&self, body: &Footprint) -> Option<DVec2> {
+    /// Returns whether the center of an occupied cell is in a footprint.
+    fn is_in_the_way(&self, body: &Footprint) -> bool {
         let [min, max] = [-1.0, 1.0].map(|sign| cell(body.center + sign * body.radius_m()));
         let center = |key: &[i64; 2]| (DVec2::new(key[0] as f64, key[1] as f64) + 0.5) * CELL_M;
         let columns = (min[0]..=max[0]).flat_map(|x| self.0.range([x, min[1]]..=[x, max[1]]));
         let inside = |place: &DVec2| body.local(*place).abs().cmple(body.half_m).all();
-        columns.map(|(key, _)| center(key)).find(inside)
+        columns.map(|(key, _)| center(key)).any(|place| inside(&place))
     }
 }
 
@@ -80,10 +80,10 @@ fn cell(at: DVec2) -> [i64; 2] {
 
 /// What is in the way of an actor.
 pub(super) enum Obstacle {
-    /// Track of the log, and when.
-    Actor(String, String),
+    /// Track of the log.
+    Actor(String),
     /// Something that stays.
-    Fixed(String),
+    Fixed(&'static str),
 }
 
 /// Returns what is in the way of the actor on collision course until shortly after the collision; `None` if
@@ -100,26 +100,24 @@ pub(super) fn in_the_way(
     for t_us in (course.start_us..course.collision_us + AFTER_US).step_by(STEP_US) {
         let Some(cuboid) = edited.script.box_at(track, t_us, &triggers) else { continue };
         let body = Footprint::from(&cuboid);
-        let at = format!("{:.1} s after its start", (t_us - course.start_us) as f64 / 1e6);
         let meets = |other: &Cuboid| {
             let other = Footprint::from(other);
             body.center.distance(other.center) <= body.radius_m() + other.radius_m() && body.overlaps(&other)
         };
         let others = edited.boxes_at(t_us).into_iter().filter(|item| item.track != track);
         if let Some(other) = others.into_iter().find(|item| meets(&item.cuboid)) {
-            return Some(Obstacle::Actor(edited.tracks[other.track].id.clone(), at));
+            return Some(Obstacle::Actor(edited.tracks[other.track].id.clone()));
         }
         // At the start; later it is the ego that is to be met.
         let ego = recorded.ego_at(t_us).filter(|_| t_us == course.start_us);
         if ego.is_some_and(|ego| meets(&ego_cuboid(&ego.pose))) {
-            return Some(Obstacle::Fixed(format!("the ego {at}")));
+            return Some(Obstacle::Fixed("the ego"));
         }
         if road.is_some_and(|road| road.share_off(&cuboid) > MAX_OFF_ROAD) {
-            return Some(Obstacle::Fixed(format!("the edge of the drivable area {at}")));
+            return Some(Obstacle::Fixed("the edge of the drivable area"));
         }
-        if let Some(place) = space.and_then(|space| space.in_the_way(&body)) {
-            let text = format!("points of the skeleton at ({:.1}, {:.1}) m {at}", place.x, place.y);
-            return Some(Obstacle::Fixed(text));
+        if space.is_some_and(|space| space.is_in_the_way(&body)) {
+            return Some(Obstacle::Fixed("points of the skeleton"));
         }
     }
     None

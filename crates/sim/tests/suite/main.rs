@@ -2,6 +2,7 @@
 #![allow(clippy::unwrap_used)] // helpers outside `#[test]`
 
 mod actors;
+mod agreement;
 mod course;
 mod external;
 mod families;
@@ -12,3 +13,4 @@ mod peer_ends;
 mod replay;
 mod resume;
 mod scenario;
+mod scenario_files;

@@ -1,11 +1,15 @@
-//! PDM scores against NAVSIM's own scorer: `pdm.json` is written by `tests/peers/navsim_scores.py`.
+//! PDM scores against NAVSIM's own scorer: `pdm.json` is written by `tests/peers/navsim_scores.py`. If
+//! `PSKEL_NAVSIM` names a clone of NAVSIM at 0a380a9, and `PSKEL_DEVKIT_PYTHON` a Python with the packages of
+//! nuplan-devkit, the table is also computed anew.
 
 use std::collections::BTreeSet;
+use std::path::{Path, PathBuf};
+use std::process::Command;
 
 use glam::{DVec2, DVec3};
 use point_skeleton::Log;
 use pskel_sim::pdm::{PdmResult, PdmScene, PdmScorer, PdmScores, PdmState};
-use pskel_testing::shared::shared;
+use pskel_testing::shared::{shared, skip};
 use serde::Deserialize;
 
 /// Maximum difference between a sub-score and NAVSIM's.
@@ -40,6 +44,29 @@ struct Plan {
 
 fn expected() -> Expected {
     serde_json::from_str(include_str!("pdm.json")).unwrap()
+}
+
+/// Runs NAVSIM; `None` without it or without data.
+fn of_peer() -> Option<Expected> {
+    let Some(navsim) = std::env::var_os("PSKEL_NAVSIM").map(PathBuf::from) else {
+        skip("NAVSIM is not given (set PSKEL_NAVSIM)");
+        return None;
+    };
+    let shared = shared("PandaSet in nuPlan's layout, and nuplan-devkit")?;
+    let data = shared.join("data/pandaset-002/nuplan");
+    let databases = std::fs::read_dir(data.join("nuplan-v1.1/splits/mini")).unwrap();
+    let mut databases = databases.map(|entry| entry.unwrap().path());
+    let database = databases.find(|path| path.extension().is_some_and(|end| end == "db")).unwrap();
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("pdm.json");
+    let path = std::env::join_paths([navsim, shared.join("interop/nuplan-devkit")]).unwrap();
+    let python = std::env::var_os("PSKEL_DEVKIT_PYTHON").unwrap_or("python3".into());
+    let mut command = Command::new(python);
+    command.arg(root.join("tests/peers/navsim_scores.py")).arg(database).arg(data.join("maps"));
+    let done = command.arg("--out").arg(&out).env("PYTHONPATH", path).output().unwrap();
+    assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
+    Some(serde_json::from_slice(&std::fs::read(out).unwrap()).unwrap())
 }
 
 /// Returns the states of the ego that NAVSIM reads from the database; ours are estimated from poses.
@@ -98,8 +125,25 @@ fn scored(expected: &Expected) -> Option<Vec<(usize, Vec<PdmResult>)>> {
 
 #[test]
 fn sub_scores_equal_those_of_navsim() {
-    let expected = expected();
-    let Some(found) = scored(&expected) else { return };
+    compare(&expected());
+}
+
+#[test]
+fn sub_scores_equal_those_of_navsim_now() {
+    let Some(expected) = of_peer() else { return };
+    compare(&expected);
+    let shipped = self::expected();
+    let scores = |table: &Expected| -> Vec<[f64; 8]> {
+        table.starts.iter().flat_map(|start| &start.plans).map(|plan| plan.scores).collect()
+    };
+    let (now, shipped) = (scores(&expected), scores(&shipped));
+    assert_eq!(now.len(), shipped.len());
+    assert!(now.iter().zip(&shipped).all(|(a, b)| largest_difference(a, b) < TOLERANCE));
+}
+
+/// Compares all plans of a table, if the data is there.
+fn compare(expected: &Expected) {
+    let Some(found) = scored(expected) else { return };
     let (mut plans, mut wrong) = (0, Vec::new());
     for (start, (frame, results)) in expected.starts.iter().zip(&found) {
         let recorded = &results[start.plans.len()].scores;

@@ -1,10 +1,15 @@
 //! Scenarios in simulations: conditions of the simulated ego, hand-over to a driver model, and resuming.
 
+use glam::DVec3;
 use point_skeleton::Log;
 use point_skeleton::dataset::{
     ActorEdits, DatasetError, ImageRecord, LogReader, Recording, Sweep, SweepRecord,
 };
-use pskel_sim::{ActorPolicy, EgoPolicy, Instant, SavedState, SimActor, SimError, SimOptions, Simulation};
+use point_skeleton::geometry::Cuboid;
+use point_skeleton::scene::{EgoOffset, state_of_frame};
+use pskel_sim::{
+    ActorPolicy, EgoPolicy, Instant, SavedState, SimActor, SimError, SimOptions, Simulation, scene_state,
+};
 use pskel_testing::winding_road;
 use serde_json::{Value, json};
 
@@ -65,6 +70,8 @@ fn pulling_out() -> Value {
         {"track": "parked", "action": path, "start": {"ego_within": {"distance_m": 40.0}}},
         {"track": "parked", "action": "idm", "start": {"after_s": 4.0}},
         {"track": "lead", "action": "remove", "start": {"after_s": 1.0}},
+        {"track": "oncoming", "action": {"resize": [9.0, 2.5, 3.0]}, "start": {"after_s": 1.5},
+         "end": {"after_s": 3.0}},
     ]})
 }
 
@@ -146,6 +153,99 @@ fn an_inserted_car_is_a_leader() {
     assert!(speeds(&plain, &free) > 7.0 && speeds(&log, &held) < 4.0);
     let broken = moved(&log, &held, "broken", 30);
     assert_eq!(broken, Some((0.0, 0.0)));
+}
+
+/// Returns the size and the lower edge of an actor at all steps, meters.
+fn extents(log: &Log, instants: &[Instant], id: &str) -> Vec<([f64; 3], f64)> {
+    let track = log.recording().tracks.iter().position(|track| track.id == id).unwrap();
+    let of = |instant: &Instant| {
+        let Cuboid { pose, size } = instant.actors.iter().find(|actor| actor.track == track).unwrap().cuboid;
+        let down = pose.rotation * DVec3::new(0.0, 0.0, -size.z / 2.0);
+        (size.to_array(), (pose.translation + down).z)
+    };
+    instants.iter().map(of).collect()
+}
+
+#[test]
+fn sizes_change_at_times_on_the_same_ground() {
+    let (car, bus) = ([4.4, 1.8, 1.5], [12.0, 2.5, 3.2]);
+    let near = json!({"ego_within": {"distance_m": 40.0}});
+    let log = edited(json!({"changes": [
+        {"track": "lead", "action": {"resize": bus}, "start": {"after_s": 1.0}, "end": {"after_s": 2.0}},
+        {"track": "parked", "action": {"resize": bus}, "start": near},
+    ]}));
+    let plain = self::log();
+    for actors in [ActorPolicy::Replay, ActorPolicy::Idm, ActorPolicy::Reactive] {
+        let options = options(EgoPolicy::Replay, actors);
+        let (changed, same) = (run(&log, &options), run(&plain, &options));
+        let lead = extents(&log, &changed, "lead");
+        let sizes: Vec<[f64; 3]> = lead.iter().map(|(size, _)| *size).collect();
+        let expected = (0..51).map(|step| if (10..20).contains(&step) { bus } else { car });
+        assert_eq!(sizes, expected.collect::<Vec<_>>(), "{actors:?}");
+        // It moves as before, apart from its driver's view of what is ahead.
+        let ground = extents(&plain, &same, "lead");
+        let rises = lead.iter().zip(&ground).map(|((_, found), (_, expected))| (found - expected).abs());
+        assert!(rises.fold(0.0, f64::max) < 0.02, "{actors:?}");
+        let parked = extents(&log, &changed, "parked");
+        let near = parked.iter().position(|(size, _)| *size == bus).unwrap();
+        assert!((24..28).contains(&near) && parked[near..].iter().all(|(size, _)| *size == bus), "{near}");
+        assert!(parked.iter().all(|(_, ground)| (ground - parked[0].1).abs() < 1e-9), "{actors:?}");
+    }
+}
+
+#[test]
+fn looks_change_at_times() {
+    let log = edited(json!({"changes": [
+        {"track": "lead", "action": {"replace": "oncoming"}, "start": {"after_s": 1.0}, "end": {"after_s": 2.0}},
+        {"track": "parked", "action": {"replace": "template"}, "start": {"after_s": 3.0}},
+    ]}));
+    let instants = run(&log, &options(EgoPolicy::Replay, ActorPolicy::Replay));
+    let look = |step: usize, id: &str| {
+        let state = scene_state(log.recording(), &instants[step], None);
+        let actor = state.actors.iter().find(|actor| actor.track == id).unwrap();
+        (actor.asset().map(str::to_owned), actor.category.clone())
+    };
+    for (step, expected) in [(9, "lead"), (10, "oncoming"), (19, "oncoming"), (20, "lead")] {
+        let category = if expected == "lead" { "vehicle.car" } else { "vehicle.truck" };
+        assert_eq!(look(step, "lead"), (Some(expected.to_owned()), category.to_owned()), "{step}");
+    }
+    let parked = [29, 30, 50].map(|step| look(step, "parked").0.is_some());
+    assert_eq!(parked, [true, false, false]);
+    // In the log as in the simulation.
+    let in_log = state_of_frame(log.recording(), 15, EgoOffset::default()).unwrap();
+    let in_step = scene_state(log.recording(), &instants[15], None);
+    assert_eq!(in_log.actors, in_step.actors);
+}
+
+#[test]
+fn impossible_sizes_and_looks_are_refused() {
+    let near = json!({"ego_within": {"distance_m": 4.0}});
+    let refused = |change: Value| {
+        let edits: ActorEdits = serde_json::from_value(json!({"changes": [change]})).unwrap();
+        log().edited(&edits).err().unwrap().to_string()
+    };
+    for (change, expected) in [
+        (
+            json!({"track": "lead", "action": {"resize": [0.0, 1.0, 1.0]}}),
+            "expected the size of a box in change 1",
+        ),
+        (
+            json!({"track": "lead", "action": {"replace": "walker"}}),
+            "expected the look of a track with the actor's class in change 1, of track lead, found \"walker\"",
+        ),
+        (json!({"track": "lead", "action": {"replace": "nobody"}}), "expected the look of a track"),
+        (
+            json!({"track": "lead", "action": {"replace": {"file": "a.ply"}}}),
+            "expected a track of the log, or template: files are for the whole log",
+        ),
+        (
+            json!({"track": "lead", "action": {"replace": "template"}, "start": near}),
+            "expected replace from a time on, to a time in change 1",
+        ),
+    ] {
+        let message = refused(change);
+        assert!(message.starts_with(expected), "{message}");
+    }
 }
 
 #[test]

@@ -3,7 +3,7 @@
 use std::fmt::Write;
 
 use point_skeleton::Log;
-use point_skeleton::dataset::LogSummary;
+use point_skeleton::dataset::{LogSummary, Recording, TrackSummary};
 use point_skeleton::files::text::printable_line;
 use point_skeleton::scene::frame_rate_hz;
 use serde_json::{Value, json};
@@ -84,6 +84,22 @@ pub(super) fn text(json: &Value) -> String {
         line("", problem);
     }
     lines
+}
+
+/// Formats a line per track for the terminal, with times after the first frame.
+pub(super) fn tracks_text(log: &Recording, tracks: &[TrackSummary]) -> String {
+    let first_us = log.frames.first().map_or(0, |frame| frame.t_us);
+    let line = |summary: &TrackSummary| {
+        let TrackSummary { track, category, size_m: [length, width, height], t_us, path_m, .. } = summary;
+        let [from_s, to_s] = t_us.map(|t_us| (t_us - first_us) as f64 / 1e6);
+        let text = format!(
+            "{:<10} {track} {category}, {length:.1} x {width:.1} x {height:.1} m, {from_s:.1} to {to_s:.1} s, \
+                path {path_m:.1} m",
+            "track"
+        );
+        format!("{}\n", printable_line(&text))
+    };
+    tracks.iter().map(line).collect()
 }
 
 /// Returns the number of missing and damaged files.

@@ -2,7 +2,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::bail;
 use clap::Args;
-use point_skeleton::dataset::DatasetError;
+use point_skeleton::dataset::{DatasetError, TrackSummary};
 use point_skeleton::files::input::is_taken;
 use point_skeleton::skeleton::{Skeleton, TemplateLibrary};
 use serde_json::Value;
@@ -34,6 +34,9 @@ pub(crate) struct InfoArgs {
     /// Print one JSON object instead of text
     #[arg(long)]
     json: bool,
+    /// List the tracks of a log: id, category, size, times after its first frame, length of the path
+    #[arg(long)]
+    tracks: bool,
     /// Read all points of a skeleton or of templates and compare them with their checksums; fails if any
     /// differ
     #[arg(long)]
@@ -44,7 +47,7 @@ pub(crate) struct InfoArgs {
 /// description, as are wrong checksums with --verify.
 pub(crate) fn run(args: InfoArgs) -> anyhow::Result<()> {
     let verified = args.verify.then(|| verify::verify(&args.target)).transpose()?;
-    let (mut json, mut text) = describe(&args.target, &args.roots)?;
+    let (mut json, mut text) = describe(&args.target, &args.roots, args.tracks)?;
     if let Some(verified) = &verified {
         json["verified"] = verified.json();
         text.push_str(&verified.text());
@@ -59,27 +62,40 @@ pub(crate) fn run(args: InfoArgs) -> anyhow::Result<()> {
     verified.map_or(Ok(()), |verified| verified.result(&args.target))
 }
 
-fn describe(target: &str, roots: &LogRoots) -> anyhow::Result<(Value, String)> {
+fn describe(target: &str, roots: &LogRoots, tracks: bool) -> anyhow::Result<(Value, String)> {
     let path = PathBuf::from(target);
+    let is_no_log = |what: &str| match tracks {
+        true => Err(WrongUsage(format!("--tracks lists the tracks of a log, and this is {what}: {target}"))),
+        false => Ok(()),
+    };
     if Skeleton::is_at(&path) {
+        is_no_log("a skeleton")?;
         let skeleton = Skeleton::open(&path)?;
         return Ok((skeleton::describe(&skeleton), skeleton::text(&skeleton)));
     }
     if TemplateLibrary::is_at(&path) {
+        is_no_log("a template library")?;
         let library = TemplateLibrary::open(&path)?;
         return Ok((templates::describe(&library, &path), templates::text(&library, &path)));
     }
     match logs::locate(target) {
         Ok(locator) => {
             let log = logs::open(&roots.locate(&locator))?;
-            let json = log::describe(&log)?;
-            return Ok((json.clone(), log::text(&json)));
+            let mut json = log::describe(&log)?;
+            let mut text = log::text(&json);
+            if tracks {
+                let list = TrackSummary::of(log.recording());
+                text.push_str(&log::tracks_text(log.recording(), &list));
+                json["track_list"] = serde_json::to_value(list)?;
+            }
+            return Ok((json, text));
         }
         // Another file or folder.
         Err(DatasetError::Locator { .. }) if path.exists() || !target.contains(':') => {}
         Err(error) => return Err(WrongUsage(error.to_string()).into()),
     }
     if is_taken(&path) && !path.is_dir() {
+        is_no_log("a file")?;
         let json = file::describe(&path)?;
         return Ok((json.clone(), as_lines(&json)));
     }

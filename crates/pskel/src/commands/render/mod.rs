@@ -19,7 +19,7 @@ use point_skeleton::sequence::SequenceWriter;
 use point_skeleton::{RenderOptions, Renderer};
 
 use crate::progress::Progress;
-use crate::{WrongUsage, print_result, warn};
+use crate::{WrongUsage, print_result, warn, warn_of_boxes_alone};
 
 /// Runs the command: opens the inputs, renders and writes the maps.
 pub(crate) fn run(args: RenderArgs) -> anyhow::Result<()> {
@@ -72,6 +72,7 @@ pub(crate) fn run(args: RenderArgs) -> anyhow::Result<()> {
             ..RenderOptions::default()
         },
     )?;
+    warn_of_boxes_alone(&renderer.boxes_alone(log));
     let writer = SequenceWriter {
         folder: OutputFolder::open(&args.folder.out, "maps", &args.inputs())?,
         format: args.maps.format,

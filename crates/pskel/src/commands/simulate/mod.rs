@@ -33,7 +33,7 @@ pub(crate) use self::generation::{GeneratorArgs, GivenImages};
 use self::inputs::Inputs;
 use self::summary::{Planned, summary};
 use crate::progress::Progress;
-use crate::{WrongUsage, print_result, warn};
+use crate::{WrongUsage, print_result, warn, warn_of_boxes_alone};
 
 /// Default size of maps if cameras are larger.
 const SIZE: ImageSize = ImageSize { height: 256, width: 448 };
@@ -99,6 +99,7 @@ pub(crate) fn rollout(args: SimulateArgs) -> anyhow::Result<String> {
         ..RenderOptions::default()
     };
     let mut renderer = Renderer::new(skeleton, render)?;
+    warn_of_boxes_alone(&renderer.boxes_alone(log));
     let generate = |opened: Opened| {
         opened.session(&inputs.log, inputs.map.is_some(), &inputs.prompt, args.follow_log(log))
     };

@@ -52,6 +52,25 @@ fn describes_a_log_and_its_damage() {
     assert!(text.contains("3 over 1.0 s at 2.0 Hz") && text.contains("damaged    3 files"), "{text}");
 }
 
+#[test]
+fn lists_tracks() {
+    let log = TinyLog::new();
+    let json = info(&log, "--tracks nuscenes:log");
+    let tracks = json["track_list"].as_array().unwrap();
+    assert_eq!((tracks.len(), &json["tracks"]), (2, &json!(2)));
+    let (car, cone) = (&tracks[0], &tracks[1]);
+    assert_eq!((&car["track"], &car["category"]), (&json!("car"), &json!("vehicle.car")));
+    assert_eq!((&car["size_m"], &car["frames"]), (&json!([4.0, 2.0, 1.5]), &json!(FRAMES)));
+    assert_eq!(car["t_us"][1].as_i64().unwrap() - car["t_us"][0].as_i64().unwrap(), 1_000_000);
+    assert!(car["path_m"].as_f64().unwrap() > 1.0 && cone["path_m"] == json!(0.0));
+    let text = text(&log, "--tracks nuscenes:log");
+    let line = "track      car vehicle.car, 4.0 x 2.0 x 1.5 m, 0.0 to 1.0 s, path ";
+    assert!(text.lines().any(|found| found.starts_with(line)), "{text}");
+    assert!(info(&log, "nuscenes:log").get("track_list").is_none());
+    std::fs::write(log.path("a.npy"), "").unwrap();
+    assert_failed(&log.run("info --tracks a.npy"), 2, &["--tracks lists the tracks of a log", "a file"]);
+}
+
 /// Reports features that the map reader skipped; checks an image that serves two frames only once.
 #[test]
 fn describes_a_nuplan_log_and_its_map() {

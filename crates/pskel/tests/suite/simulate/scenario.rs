@@ -54,6 +54,34 @@ fn scenarios_change_rollouts_and_their_records() {
 }
 
 #[test]
+fn actors_that_boxes_alone_show_are_counted() {
+    let log = built();
+    let at = json!({"in": {"ego": {"after_s": 0.0}}, "x_m": 8.0, "y_m": 0.0});
+    let insert =
+        |category: &str| json!({"insert": {"category": category, "size_m": [1.0, 1.0, 1.0], "at": at}});
+    let change = |track: &str, category: &str| json!({"track": track, "action": insert(category)});
+    for (name, categories, expected) in [
+        ("car", ["vehicle.car", "vehicle.car"], None),
+        ("one", ["vehicle.car", "movable_object.debris"], Some("1 actor has neither points nor a template")),
+        ("two", ["movable_object.debris", "animal"], Some("2 actors have neither points nor a template")),
+    ] {
+        let changes = json!({"changes": [change("a", categories[0]), change("b", categories[1])]});
+        std::fs::write(log.path("scenario.json"), changes.to_string()).unwrap();
+        let render = format!("render nuscenes:log --skeleton sk --rasterizer cpu --out {name}");
+        let simulate = SIMULATE.replace("--out out", &format!("--out {name}-rollout"));
+        for command in [render, format!("{simulate} --steps 2 --maps depth --ego replay")] {
+            let output = log.run(&format!("{command} --scenario scenario.json"));
+            assert!(output.status.success());
+            let errors = String::from_utf8(output.stderr).unwrap();
+            match expected {
+                Some(expected) => assert!(errors.contains(expected), "{command}: {errors}"),
+                None => assert!(!errors.contains("neither points"), "{command}: {errors}"),
+            }
+        }
+    }
+}
+
+#[test]
 fn scenarios_that_do_not_fit_are_refused() {
     let log = built();
     write(&log);
