@@ -263,8 +263,8 @@ impl<'a> Renderer<'a> {
         self.clouds.instances(state, &self.maps.selection)
     }
 
-    /// Returns the tracks of a log that its boxes alone show, by their first boxes: the skeleton has no points of
-    /// them, and there is no template of their category.
+    /// Returns the tracks of a log that its boxes alone show, by their first boxes: the skeleton has no
+    /// points of them, and there is no template of their category.
     pub fn boxes_alone<'l>(&self, log: &'l Recording) -> Vec<&'l str> {
         self.clouds.boxes_alone(log, &self.maps.selection)
     }

@@ -105,10 +105,11 @@ fn scored(
     let recording = log.recording();
     let scorer = PdmScorer::new(recording, map.vector_map()).ok_or_else(no_map)?;
     let scene = scorer.scene(t_us).ok_or_else(|| {
-        let [first, last] = [recording.frames.first(), recording.frames.last()].map(|f| f.map_or(0, |f| f.t_us));
+        let ends = [recording.frames.first(), recording.frames.last()];
+        let [first, last] = ends.map(|frame| frame.map_or(0, |frame| frame.t_us));
         PyValueError::new_err(format!(
-            "expected t_us of 1.5 s after the first frame of the log ({first}) to 4 s before its last ({last}), \
-                found {t_us}"
+            "expected t_us of 1.5 s after the first frame of the log ({first}) to 4 s before its last \
+                ({last}), found {t_us}"
         ))
     })?;
     let still = || PyValueError::new_err("expected a log whose ego moves: its path is the route");

@@ -140,8 +140,8 @@ impl<'a> SceneClouds<'a> {
         both
     }
 
-    /// Returns the tracks of a log that no cloud shows in geometry maps, by their first boxes: the skeleton has
-    /// no points of them, and there is no template of their category.
+    /// Returns the tracks of a log that no cloud shows in geometry maps, by their first boxes: the skeleton
+    /// has no points of them, and there is no template of their category.
     pub fn boxes_alone<'l>(&self, log: &'l Recording, options: &SelectionOptions) -> Vec<&'l str> {
         let mut is_known = vec![false; log.tracks.len()];
         let mut alone = Vec::new();

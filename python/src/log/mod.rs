@@ -126,9 +126,9 @@ impl Log {
         self.inner.recording().gaps.iter().map(ToString::to_string).collect()
     }
 
-    /// Tracks with boxes, by id, as scenarios name them: dictionaries of `track`, `category`, `size_m` (median
-    /// length, width and height), `t_us` (first and last box, absolute microseconds), `frames` and `path_m`
-    /// (length of the path).
+    /// Tracks with boxes, by id, as scenarios name them: dictionaries of `track`, `category`, `size_m`
+    /// (median length, width and height), `t_us` (first and last box, absolute microseconds), `frames` and
+    /// `path_m` (length of the path).
     #[getter]
     fn tracks<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyList>> {
         let tracks = TrackSummary::of(self.inner.recording());

@@ -146,8 +146,8 @@ impl Script {
         self.applying(track, t_us, triggers).find(|(deed, _)| deed.moves()).map(|(_, since_us)| since_us)
     }
 
-    /// Returns the changes of an actor that apply at a time with their begins (both absolute microseconds), the
-    /// last one first.
+    /// Returns the changes of an actor that apply at a time with their begins (both absolute microseconds),
+    /// the last one first.
     fn applying(&self, track: usize, t_us: i64, triggers: &Triggers) -> impl Iterator<Item = (&Deed, i64)> {
         let steps = self.actors.get(&track).map_or(&[][..], |actor| &actor.steps);
         steps
@@ -190,8 +190,8 @@ impl Script {
         Some(size.map_or(cuboid, |size| cuboid.resized(size)))
     }
 
-    /// Returns the box of an actor by its first `count` changes, without changes of its size. The last one that
-    /// applies decides.
+    /// Returns the box of an actor by its first `count` changes, without changes of its size. The last one
+    /// that applies decides.
     fn before(&self, actor: &ScriptActor, count: usize, t_us: i64, triggers: &Triggers) -> Option<Cuboid> {
         for (place, step) in actor.steps[..count].iter().enumerate().rev() {
             let Some(since_us) = triggers.since(*step, t_us) else { continue };

@@ -47,7 +47,8 @@ fn base() -> Value {
                 "start": {"ego_within": {"distance_m": 5.0, "point_m": [1002.0, 500.0]}}},
             {"track": "cone", "action": "remove", "start": {"after_s": 0.8}},
             {"track": "car", "action": {"resize": [5.0, 2.0, 1.8]}, "start": near, "end": {"after_s": 1.7}},
-            {"track": "new", "action": {"replace": "car"}, "start": {"after_s": 0.4}, "end": {"after_s": 0.9}},
+            {"track": "new", "action": {"replace": "car"},
+                "start": {"after_s": 0.4}, "end": {"after_s": 0.9}},
             {"track": "car", "action": {"replace": "template"}}
         ]
     })

@@ -1,5 +1,6 @@
-//! Copies of a nuScenes data set with other images, and with LiDAR sweeps if the rollouts have them. Files that are not replaced are links to the original, or
-//! left out with the tables of all samples that were not generated.
+//! Copies of a nuScenes data set with other images, and with LiDAR sweeps if the rollouts have them. Files
+//! that are not replaced are links to the original, or left out with the tables of all samples that were not
+//! generated.
 
 use std::collections::btree_map::Entry;
 use std::collections::{BTreeMap, BTreeSet};
@@ -167,8 +168,8 @@ impl<'a> DatasetCopy<'a> {
     }
 
     /// Writes only the samples that were generated: tables of them with new links and counts, their images,
-    /// their LiDAR sweeps or links to the recorded ones, links to the maps, and [`GENERATED_LIST`]. A sample is left out and counted
-    /// if an earlier one has the same file.
+    /// their LiDAR sweeps or links to the recorded ones, links to the maps, and [`GENERATED_LIST`]. A sample
+    /// is left out and counted if an earlier one has the same file.
     ///
     /// # Errors
     /// Fails as [`DatasetCopy::write`], or if a table is missing or damaged.

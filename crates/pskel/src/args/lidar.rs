@@ -17,8 +17,8 @@ use crate::WrongUsage;
 #[command(next_help_heading = "LiDAR")]
 pub(crate) struct LidarArgs {
     /// Also write LiDAR sweeps: hdl-32e, vlp-32c, pandar64, pandar128, at128, av2, nuplan, or a JSON file of
-    /// devices (name.json). Points are in the ego frame at the frame's time; intensity is 0, since skeletons do not
-    /// keep it
+    /// devices (name.json). Points are in the ego frame at the time of the frame or step; intensity is 0,
+    /// since skeletons do not keep it
     #[arg(long, value_name = "SPEC", value_parser = spec)]
     lidar: Option<String>,
     /// Points of a sweep: lidar.pcd.bin as nuScenes, or lidar.pcd or lidar.npy, also with device, class,

@@ -218,7 +218,8 @@ fn an_inserted_car_agrees_everywhere() {
     mcap_file::check(&folder.path().join("rollout.mcap"), rows.len(), &cuboid);
 }
 
-/// Runs a rollout of a log without a folder, with an MCAP file in `folder` if there are any; returns its rows.
+/// Runs a rollout of a log without a folder, with an MCAP file in `folder` if there are any; returns its
+/// rows.
 fn rollout(
     log: &Log,
     skeleton: &Skeleton,

@@ -196,7 +196,8 @@ fn sizes_change_at_times_on_the_same_ground() {
 #[test]
 fn looks_change_at_times() {
     let log = edited(json!({"changes": [
-        {"track": "lead", "action": {"replace": "oncoming"}, "start": {"after_s": 1.0}, "end": {"after_s": 2.0}},
+        {"track": "lead", "action": {"replace": "oncoming"},
+            "start": {"after_s": 1.0}, "end": {"after_s": 2.0}},
         {"track": "parked", "action": {"replace": "template"}, "start": {"after_s": 3.0}},
     ]}));
     let instants = run(&log, &options(EgoPolicy::Replay, ActorPolicy::Replay));
@@ -231,7 +232,8 @@ fn impossible_sizes_and_looks_are_refused() {
         ),
         (
             json!({"track": "lead", "action": {"replace": "walker"}}),
-            "expected the look of a track with the actor's class in change 1, of track lead, found \"walker\"",
+            "expected the look of a track with the actor's class in change 1, of track lead, found \
+                \"walker\"",
         ),
         (json!({"track": "lead", "action": {"replace": "nobody"}}), "expected the look of a track"),
         (

@@ -93,8 +93,8 @@ pub(super) fn tracks_text(log: &Recording, tracks: &[TrackSummary]) -> String {
         let TrackSummary { track, category, size_m: [length, width, height], t_us, path_m, .. } = summary;
         let [from_s, to_s] = t_us.map(|t_us| (t_us - first_us) as f64 / 1e6);
         let text = format!(
-            "{:<10} {track} {category}, {length:.1} x {width:.1} x {height:.1} m, {from_s:.1} to {to_s:.1} s, \
-                path {path_m:.1} m",
+            "{:<10} {track} {category}, {length:.1} x {width:.1} x {height:.1} m, {from_s:.1} to \
+                {to_s:.1} s, path {path_m:.1} m",
             "track"
         );
         format!("{}\n", printable_line(&text))
