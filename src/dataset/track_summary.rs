@@ -1,9 +1,10 @@
 //! Tracks of a log in a list, from which scenarios name them.
 
-use glam::{DVec2, DVec3};
+use glam::DVec2;
 use serde::Serialize;
 
 use super::Recording;
+use super::recording::median_size;
 use crate::geometry::Cuboid;
 
 /// Minimum distance between counted positions, meters: boxes of standing actors move less by noise.
@@ -50,16 +51,6 @@ impl TrackSummary {
     }
 }
 
-/// Returns the median of each side, meters; 1 m without sizes.
-pub(super) fn median_size(sizes: impl Iterator<Item = DVec3> + Clone) -> DVec3 {
-    let median = |axis: usize| {
-        let mut sides: Vec<f64> = sizes.clone().map(|size| size[axis]).collect();
-        sides.sort_by(f64::total_cmp);
-        sides.get(sides.len() / 2).copied().unwrap_or(1.0)
-    };
-    DVec3::new(median(0), median(1), median(2))
-}
-
 /// Returns the length of a path without steps that are shorter than the noise, meters.
 fn path_m(positions: impl Iterator<Item = DVec2>) -> f64 {
     let mut last: Option<DVec2> = None;
@@ -76,6 +67,8 @@ fn path_m(positions: impl Iterator<Item = DVec2>) -> f64 {
 
 #[cfg(test)]
 mod tests {
+    use glam::DVec3;
+
     use super::*;
     use crate::dataset::{Class, Frame, Track, TrackBox};
     use crate::geometry::Pose;

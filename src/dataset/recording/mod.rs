@@ -12,7 +12,6 @@ use std::sync::Arc;
 
 use glam::DVec3;
 
-use super::track_summary::median_size;
 use super::{ActorEdits, Class, DatasetError, Gap, MissingData, ReadOptions, Script};
 use crate::files::FileName;
 use crate::files::text::printable;
@@ -315,6 +314,16 @@ impl ImageRecord {
     pub fn camera_from_global(&self) -> Pose {
         (self.global_from_ego * self.ego_from_camera).inverse()
     }
+}
+
+/// Returns the median of each side, meters; 1 m without sizes.
+pub(super) fn median_size(sizes: impl Iterator<Item = DVec3> + Clone) -> DVec3 {
+    let median = |axis: usize| {
+        let mut sides: Vec<f64> = sizes.clone().map(|size| size[axis]).collect();
+        sides.sort_by(f64::total_cmp);
+        sides.get(sides.len() / 2).copied().unwrap_or(1.0)
+    };
+    DVec3::new(median(0), median(1), median(2))
 }
 
 #[cfg(test)]
