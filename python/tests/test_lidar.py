@@ -34,7 +34,7 @@ def test_sweeps_equal_those_of_the_command(
 ) -> None:
     out = tmp_path / "out"
     lidar = [f"--lidar={small}", "--lidar-format=npy", "--maps=depth", "--size=56x100"]
-    run("-m", "pskel", "render", TOWN, f"--skeleton={skeleton.path}", f"--out={out}", "--frames=2..2", *lidar)
+    run("-m", "pskel", "render", TOWN, f"--skeleton={skeleton.path}", f"--out={out}", "--frames=2..3", *lidar)
     expected = np.load(next(out.glob("*/lidar.npy")))
     scene = log[2]
     found = renderer.lidar(scene, small, other=log.at(scene.t_us - 100_000), position=log.lidar_position)
