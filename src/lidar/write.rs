@@ -26,9 +26,13 @@ const PCD_DATA: &str = "DATA binary\n";
 /// Type of the numbers in a column.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum LidarNumber {
+    /// Unsigned, 8 bits.
     U8,
+    /// Unsigned, 16 bits.
     U16,
+    /// Unsigned, 32 bits.
     U32,
+    /// Floating point, 32 bits.
     F32,
 }
 

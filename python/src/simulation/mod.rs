@@ -57,7 +57,7 @@ struct Progress {
 impl Progress {
     /// Computes and commits the next step; `false` once the simulation is over.
     fn step(&mut self, simulation: &mut Borrowing<'_>) -> PyResult<bool> {
-        let now = simulation.committed().get().clone();
+        let now: Instant = (*simulation.committed().get()).clone();
         let stepped = simulation.step().map_err(raise_sim)?.is_some();
         if stepped {
             self.previous = Some(now);
