@@ -74,6 +74,7 @@ impl LidarArgs {
     ///
     /// # Errors
     /// Fails if a file is invalid.
+    #[cfg(feature = "network")]
     pub(crate) fn unmounted(&self) -> Result<Option<LidarOutput>, FileError> {
         let spec = self.lidar.as_deref().map(LidarSpec::named).transpose()?;
         Ok(spec.map(|spec| LidarOutput { spec, format: self.lidar_format }))
