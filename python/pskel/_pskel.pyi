@@ -35,6 +35,7 @@ __all__ = [
     "__version__",
     "build",
     "fill_holes",
+    "lidar_spec",
     "run_command",
     "score_plans",
     "splat",
