@@ -82,7 +82,7 @@ def learned(fitted_base: Path, tmp_path_factory: pytest.TempPathFactory) -> Lear
     begin = time.process_time()
     made = prepared(fitted_base, infer_steps=FEW_STEPS)
     before = fixed_loss(made)
-    count, rate, warmup = 170, 6e-3, 15
+    count, rate, warmup = 250, 4e-3, 20
     optimizer = torch.optim.AdamW(made.players[0].groups, lr=rate, weight_decay=0.0)
     schedule = torch.optim.lr_scheduler.LambdaLR(optimizer, lambda n: min(1.0, (n + 1) / warmup) * (1.0 - n / count))
     for number in range(count):
