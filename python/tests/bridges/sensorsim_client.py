@@ -20,7 +20,7 @@ from pskel.alpasim import poses, sensorsim_pb2, sensorsim_pb2_grpc
 Request = sensorsim_pb2.RGBRenderRequest
 
 
-def exact_town(folder: Path, seed: int, frames: int = 4, size: str = "113x200") -> tuple[str, Path]:
+def exact_town(folder: Path, seed: int, frames: int = 6, size: str = "113x200") -> tuple[str, Path]:
     """Write a town in the format of nuScenes and its skeleton; returns its name and the skeleton.
 
     Then round all poses so that messages hold them exactly: the ego's have no rotation, positions are
