@@ -28,7 +28,7 @@ CAMERAS = {
 }
 #: Commands, in the order of NAVSIM's one-hot vector.
 COMMANDS = ("left", "straight", "right", "unknown")
-#: End of the header of a PCD file.
+#: Last line of a PCD header.
 PCD_DATA = b"DATA binary\n"
 IMAGES_HELP = "images of the cameras: generated, or a map such as color (default auto: generated if there are any, else color)"
 

@@ -37,7 +37,7 @@ const COLUMNS: [Column; 11] = [
 /// log : Log
 ///     Log with an HD map, as recorded or with a scenario.
 /// plans : array_like
-///     `[P, N, 3]`: poses of the rear axle in the frame of the ego at that time, meters forward and to the
+///     `[P, N, 3]`: rear-axle poses in the ego frame at that time, meters forward and to the
 ///     left, and radians to the left. The first pose is one interval later, the last one at least 4 s.
 /// t_us : int
 ///     Time of the log, absolute microseconds, at least 1.5 s after its first frame and 4 s before its last.

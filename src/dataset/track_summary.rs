@@ -23,7 +23,7 @@ pub struct TrackSummary {
     pub t_us: [i64; 2],
     /// Number of frames with a box.
     pub frames: usize,
-    /// Length of the path of the box's center, meters: steps of at least 0.5 m.
+    /// Path length of the box center, meters: steps of at least 0.5 m.
     pub path_m: f64,
 }
 

@@ -20,7 +20,7 @@ const SHOWN_M: f32 = 80.0;
 const HEIGHT: usize = 128;
 /// Columns of an NPY file.
 const NPY_COLUMNS: usize = 9;
-/// End of the header of a PCD file.
+/// Last line of a PCD header.
 const PCD_DATA: &str = "DATA binary\n";
 
 /// Type of the numbers in a column.

@@ -25,8 +25,8 @@ pub(crate) fn spec(name: &str, position: Option<[f64; 3]>) -> PyResult<LidarSpec
 }
 
 /// Returns the description of a LiDAR by name, a preset or a JSON file: a dictionary with `devices`, each
-/// with
-/// `name`, `elevations_deg`, `columns`, `range_m`, .., and `seed`, as in the files (docs/src/guide/lidar.md).
+/// with `name`, `elevations_deg`, `columns`, `range_m`, .., and `seed`, as in the files
+/// (docs/src/guide/lidar.md).
 ///
 /// Raises `ValueError` for an unknown name or an invalid file.
 #[pyfunction]

@@ -295,7 +295,7 @@ impl<'a> CopiedLog<'a> {
     }
 }
 
-/// Returns the replacements of the LiDAR sweeps of a frame itself.
+/// Returns what replaces a frame's own LiDAR sweeps.
 fn sweeps<'a>(frame: &'a Frame, row: &StepRow, step: &Path) -> Vec<Replacement<'a>> {
     let global_from_ego =
         DAffine3::from_mat4(DMat4::from_cols_array_2d(&row.ego.global_from_ego).transpose());

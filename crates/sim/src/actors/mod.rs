@@ -93,7 +93,7 @@ impl Mover {
         };
         let Some([of_path, size]) = sizes else { return moved };
         let cuboid = match self {
-            // The path has the heights of centers without changes of the size.
+            // The heights along the path are for the unchanged size.
             Self::Idm(_) => Cuboid { size: of_path, ..moved.cuboid },
             Self::Reactive(_) => moved.cuboid,
         };

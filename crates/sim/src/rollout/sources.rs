@@ -27,7 +27,7 @@ pub(super) struct Sources {
     map: Option<String>,
     /// Prompt parts.
     prompt: PromptParts,
-    /// Hashes of the files that actors of the scenario look like, by track.
+    /// Hash of each file that an actor looks like, by track.
     #[serde(skip_serializing_if = "BTreeMap::is_empty")]
     files: BTreeMap<String, String>,
     /// Their paths, for errors.

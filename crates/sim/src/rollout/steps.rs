@@ -218,7 +218,7 @@ impl Loop<'_, '_, '_, '_> {
     }
 
     /// Renders the LiDAR sweep of a new step, if the rollout has them. Ego and actors move from the step
-    /// before; those of step 0 as in the log.
+    /// before; at step 0 they move as in the log.
     fn sweep(&mut self, state: &SceneState, is_new: bool) -> Result<Option<LidarSweep>, Error> {
         let Some(lidar) = &self.steps.output.record.lidar else { return Ok(None) };
         let log = self.steps.scenario.log;

@@ -141,7 +141,7 @@ fn check_camera(camera: &SceneCamera, maps: &CameraConditions, number: u32, cubo
     pixels.len()
 }
 
-/// Checks maps, sweep and rays of a state against the box of the car.
+/// Checks a state's maps, sweep and rays against the car's box.
 fn check_state(renderer: &mut Renderer<'_>, state: &SceneState, without: &SceneState, cuboid: &Cuboid) {
     let number = 1 + state.actors.iter().position(|actor| actor.track == CAR).unwrap() as u32;
     let [maps, plain] = [state, without].map(|state| renderer.render(state).unwrap());
@@ -186,7 +186,7 @@ fn an_inserted_car_agrees_everywhere() {
     let (recording, expected) = (log.recording(), expected(source.recording()));
     let track = track_of(recording, CAR);
 
-    // Boxes of the log and of the simulation.
+    // Boxes in the log and in the simulation.
     let cuboid = recording.frames[0].cuboid_of(track).unwrap();
     assert!(is_near(&cuboid, &expected), "{cuboid:?} {expected:?}");
     assert!(recording.frames.iter().all(|frame| frame.cuboid_of(track) == Some(cuboid)));
@@ -260,7 +260,7 @@ mod mcap_file {
         OutputFile::open(path, MCAP, &Inputs::default()).unwrap()
     }
 
-    /// Checks the entity of the car in each step of a file.
+    /// Checks the car's entity in each step of a file.
     pub(super) fn check(path: &Path, steps: usize, cuboid: &Cuboid) {
         let bytes = std::fs::read(path).unwrap();
         let summary = mcap::Summary::read(&bytes).unwrap().unwrap();

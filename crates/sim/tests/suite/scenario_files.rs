@@ -1,4 +1,4 @@
-//! Rollouts of scenarios that name files of points: a resumed one refuses changed files.
+//! Rollouts whose scenarios name point files: a resumed one refuses changed files.
 
 use std::path::Path;
 

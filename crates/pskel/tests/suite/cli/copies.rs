@@ -140,7 +140,7 @@ fn samples_that_share_an_image_are_counted() {
     assert_eq!(records(&log, "sample")[0]["next"], "");
 }
 
-/// Sweeps of the rollout replace those of the generated frames: in the frame of the recorded LiDAR.
+/// The rollout's sweeps replace the recorded ones at generated frames, in the frame of the recorded LiDAR.
 #[test]
 fn copies_have_the_sweeps_of_the_rollout() {
     let log = built();

@@ -42,13 +42,12 @@ fn frames_and_steps_have_sweeps() {
     assert_eq!((&meta["points"], &meta["file"]), (&found.len().into(), &"lidar.pcd.bin".into()));
     assert_eq!(meta["t_us"], rows(&log, "out")[6]["t_us"]);
     assert!(found.iter().all(|[x, y, z, _, ring]| x.hypot(*y).hypot(*z) < 82.0 && *ring < 16.0));
-    // A frame and the step at its time have the same poses: the log's, by which the ego moves evenly.
+    // A frame and the step at its time have the same poses, as the ego of the log moves evenly.
     let frame = points(&log, "maps/000001");
-    let apart = |(a, b): (&[f32; 5], &[f32; 5])| (0..3).map(|i| (a[i] - b[i]).abs()).fold(0.0, f32::max);
+    let apart = |a: &[f32; 5], b: &[f32; 5]| (0..3).map(|i| (a[i] - b[i]).abs()).fold(0.0, f32::max);
     assert!(frame.len().abs_diff(found.len()) <= frame.len() / 50, "{} and {}", frame.len(), found.len());
-    if frame.len() == found.len() {
-        assert!(frame.iter().zip(&found).map(apart).fold(0.0, f32::max) < 0.05);
-    }
+    let same = frame.iter().filter(|point| found.iter().any(|other| apart(point, other) < 0.05)).count();
+    assert!(same * 50 >= frame.len() * 49, "{same} of {}", frame.len());
     // The MCAP file has the same points, in the ego frame.
     let mcap = McapFile::of(&log, "out.mcap");
     let sweeps = mcap.decoded::<PointCloud>("/lidar");

@@ -32,7 +32,7 @@ use crate::state::ego_cuboid;
 pub const MCAP: FileKind =
     FileKind { name: "an MCAP file of pskel", begin: b"\x89MCAP0\r\n", marks: &[b"pskel "] };
 
-/// Maximum size of a file of points: the most rays of a sweep in the longest rows.
+/// Maximum size of a point file: as many rows as a sweep has rays, each of the longest format.
 const POINT_BYTES: u64 = 40 * MAX_RAYS as u64;
 
 /// A rollout whose steps are complete.
