@@ -107,8 +107,7 @@ if command -v typos >/dev/null; then step typos; fi
 if command -v cargo-deny >/dev/null; then step cargo deny --all-features check licenses bans sources; fi # advisories need a network
 step cargo clippy "${packages[@]}" --all-targets --locked -- -D warnings
 # The smallest builds: the core without formats, and the command without town, network and video.
-step cargo clippy -p point-skeleton --no-default-features --locked -- -D warnings
-step cargo clippy -p pskel --no-default-features --locked -- -D warnings
+step cargo clippy -p point-skeleton -p pskel --no-default-features --locked -- -D warnings
 RUSTDOCFLAGS=-Dwarnings step cargo doc "${packages[@]}" --no-deps --locked
 status=0
 undrawn=0

@@ -1,9 +1,10 @@
 //! Rays against the solids of a scene.
 
-use glam::{DAffine3, DVec3};
+use glam::{DAffine3, DMat3, DVec3};
 
+use super::fan::Fan;
 use super::motion::ActorPath;
-use super::solid::Solid;
+use super::solid::{Hit, Solid};
 use super::solids::Solids;
 use crate::cloud::Bounds;
 use crate::dataset::Class;
@@ -55,19 +56,6 @@ pub(super) struct Body {
     core: Option<[DVec3; 2]>,
 }
 
-/// The part of space around some rays.
-struct Fan {
-    origin: DVec3,
-    /// Unit vector in the half-plane of the rays, in their middle.
-    middle: DVec3,
-    /// Unit normal of the half-plane.
-    normal: DVec3,
-    /// Greatest distance of a ray from the half-plane per meter.
-    spread: f64,
-    /// Whether all rays go forward along the middle.
-    is_narrow: bool,
-}
-
 /// A body that rays may meet.
 struct Candidate<'b> {
     number: u32,
@@ -75,7 +63,7 @@ struct Candidate<'b> {
     local_from_world: DAffine3,
     core: Option<[DVec3; 2]>,
     /// Least range at which it can be met, meters.
-    near_m: f64,
+    near_m: f32,
 }
 
 impl Body {
@@ -121,74 +109,47 @@ pub(super) fn cast(
     solids: &Solids<'_>,
     far_m: f64,
 ) -> Vec<Option<LidarHit>> {
-    let fan = Fan::of(rays);
-    let candidate = |body| fan.candidate(body, solids, rays.after_s, far_m);
+    let fan = Fan::of(rays.directions.iter().copied());
+    let candidate = |body| candidate(body, rays, &fan, solids);
     let mut candidates: Vec<Candidate<'_>> = bodies.iter().filter_map(candidate).collect();
     candidates.sort_by(|a, b| a.near_m.total_cmp(&b.near_m));
-    let first = |direction: &DVec3| {
-        let (mut far_m, mut found) = (far_m, None);
-        for candidate in &candidates {
-            if candidate.near_m > far_m {
-                break;
-            }
-            let origin = candidate.local_from_world.transform_point3(rays.origin);
-            let direction = candidate.local_from_world.transform_vector3(*direction);
-            if let Some(hit) = candidate.solid.meet(origin, direction, far_m) {
-                far_m = hit.t;
-                found = Some(LidarHit { range_m: hit.t, class: hit.class, instance: candidate.number });
-            }
-            if let Some(t) =
-                candidate.core.and_then(|core| enter(core, origin, direction)).filter(|t| *t < far_m)
-            {
-                (far_m, found) = (t, None);
+    let mut far: Vec<f32> = vec![far_m as f32; rays.directions.len()];
+    let mut found = vec![None; far.len()];
+    for candidate in &candidates {
+        let searched: Vec<f32> =
+            far.iter().map(|far| if candidate.near_m > *far { -1.0 } else { *far }).collect();
+        if searched.iter().all(|far| *far < 0.0) {
+            break;
+        }
+        let frame = candidate.local_from_world;
+        let origin = frame.transform_point3(rays.origin);
+        let is_turned = frame.matrix3 != DMat3::IDENTITY;
+        let turned = || Fan::of(rays.directions.iter().map(|direction| frame.transform_vector3(*direction)));
+        let turned = is_turned.then(turned);
+        let fan = turned.as_ref().unwrap_or(&fan);
+        for Hit { ray, t, class } in candidate.solid.meet(origin.as_vec3a(), fan, &searched) {
+            far[ray] = t as f32;
+            found[ray] = Some(LidarHit { range_m: t, class, instance: candidate.number });
+        }
+        let Some(core) = candidate.core else { continue };
+        for (ray, direction) in rays.directions.iter().enumerate().filter(|(ray, _)| searched[*ray] >= 0.0) {
+            let entered = enter(core, origin, frame.transform_vector3(*direction));
+            if let Some(t) = entered.map(|t| t as f32).filter(|t| *t < far[ray]) {
+                (far[ray], found[ray]) = (t, None);
             }
         }
-        found
-    };
-    rays.directions.iter().map(first).collect()
+    }
+    found
 }
 
-impl Fan {
-    fn of(rays: &LidarRays) -> Self {
-        let directions = &rays.directions;
-        let middle = directions.iter().sum::<DVec3>().normalize_or(DVec3::X);
-        let [first, last] = [directions.first(), directions.last()].map(|end| end.copied().unwrap_or(middle));
-        let normal = first.cross(last).normalize_or(middle.any_orthonormal_vector());
-        let spread =
-            directions.iter().fold(0.0, |most: f64, direction| most.max(direction.dot(normal).abs()));
-        let is_narrow = directions.iter().all(|direction| direction.dot(middle) > 0.0);
-        Self { origin: rays.origin, middle, normal, spread, is_narrow }
-    }
-
-    /// Returns a body as a candidate; `None` if no ray can meet it.
-    fn candidate<'b>(
-        &self,
-        body: &Body,
-        solids: &'b Solids<'_>,
-        after_s: f64,
-        far_m: f64,
-    ) -> Option<Candidate<'b>> {
-        let solid = solids.get(body.cloud)?;
-        let world_from_local = body.world_from_local(after_s);
-        let offset = world_from_local.transform_point3(body.center) - self.origin;
-        let extent = |axis: DVec3| body.half.dot((world_from_local.matrix3.transpose() * axis).abs());
-        let radius_m = (world_from_local.matrix3 * body.half).length();
-        let beside_m = offset.dot(self.normal).abs() - extent(self.normal);
-        if beside_m > self.spread * (offset.length() + radius_m) {
-            return None;
-        }
-        // No ray is shorter than its part along the middle.
-        let (along_m, half_m) = (offset.dot(self.middle), extent(self.middle));
-        let near_m = if self.is_narrow { along_m - half_m } else { offset.length() - radius_m }.max(0.0);
-        let is_ahead = along_m + half_m >= 0.0 || !self.is_narrow;
-        (is_ahead && near_m <= far_m).then(|| Candidate {
-            number: body.number,
-            solid,
-            local_from_world: world_from_local.inverse(),
-            core: body.core,
-            near_m,
-        })
-    }
+/// Returns a body as a candidate; `None` if no ray can meet it.
+fn candidate<'b>(body: &Body, rays: &LidarRays, fan: &Fan, solids: &'b Solids<'_>) -> Option<Candidate<'b>> {
+    let solid = solids.get(body.cloud)?;
+    let world_from_local = body.world_from_local(rays.after_s);
+    let offset = world_from_local.transform_point3(body.center) - rays.origin;
+    let near_m = fan.reach_of(offset, world_from_local.matrix3, body.half)?.near;
+    let local_from_world = world_from_local.inverse();
+    Some(Candidate { number: body.number, solid, local_from_world, core: body.core, near_m })
 }
 
 /// Returns where a ray from outside of a box enters it, in lengths of its direction.

@@ -15,6 +15,7 @@
 
 mod cast;
 mod error;
+mod fan;
 mod mask;
 mod motion;
 mod patch;

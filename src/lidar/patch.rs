@@ -2,7 +2,6 @@
 
 use glam::{Vec3, Vec3A};
 use obvhs::aabb::Aabb;
-use obvhs::ray::Ray;
 
 use super::mask::Mask;
 
@@ -41,8 +40,8 @@ impl Patch {
     /// Returns the distance at which a ray meets the patch, in lengths of its direction; infinite if it does
     /// not.
     #[inline]
-    pub(super) fn meet(&self, ray: &Ray) -> f32 {
-        let (origin, direction) = (Vec3::from(ray.origin), Vec3::from(ray.direction));
+    pub(super) fn meet(&self, origin: Vec3A, direction: Vec3A) -> f32 {
+        let (origin, direction) = (Vec3::from(origin), Vec3::from(direction));
         match self.shape {
             Shape::Plane { normal, offset, min, max, along, mask } => {
                 let t = (offset - normal.dot(origin)) / normal.dot(direction);
@@ -65,8 +64,8 @@ impl Patch {
 mod tests {
     use super::*;
 
-    fn ray(origin: [f32; 3], direction: [f32; 3]) -> Ray {
-        Ray::new(origin.into(), direction.into(), 0.0, 100.0)
+    fn meet(patch: &Patch, origin: [f32; 3], direction: [f32; 3]) -> f32 {
+        patch.meet(origin.into(), direction.into())
     }
 
     /// The plane x = 5 over y, z from 0 to 8; the mask has the cell of y from 2 to 3 and z from 4 to 5.
@@ -77,14 +76,14 @@ mod tests {
         let (min, max) = (Vec3::new(4.9, 0.0, 0.0), Vec3::new(5.1, 8.0, 8.0));
         let shape = Shape::Plane { normal: Vec3::X, offset: 5.0, min, max, along: 0, mask };
         let patch = Patch { shape, class: 3, points: 1 };
-        let at = |y: f32, z: f32| patch.meet(&ray([0.0, y, z], [2.0, 0.0, 0.0]));
+        let at = |y: f32, z: f32| meet(&patch, [0.0, y, z], [2.0, 0.0, 0.0]);
         assert_eq!(
             (at(2.5, 4.5), at(3.5, 4.5), at(2.5, 3.5), at(-5.5, 4.5)),
             (2.5, f32::INFINITY, f32::INFINITY, f32::INFINITY)
         );
-        assert_eq!(patch.meet(&ray([10.0, 2.5, 4.5], [1.0, 0.0, 0.0])), f32::INFINITY);
-        assert_eq!(patch.meet(&ray([0.0, 2.5, 4.5], [0.0, 1.0, 0.0])), f32::INFINITY);
-        let tilted = patch.meet(&ray([0.0, 0.0, 0.0], [1.0, 0.5, 0.9]));
+        assert_eq!(meet(&patch, [10.0, 2.5, 4.5], [1.0, 0.0, 0.0]), f32::INFINITY);
+        assert_eq!(meet(&patch, [0.0, 2.5, 4.5], [0.0, 1.0, 0.0]), f32::INFINITY);
+        let tilted = meet(&patch, [0.0, 0.0, 0.0], [1.0, 0.5, 0.9]);
         assert_eq!(tilted, 5.0);
     }
 
@@ -92,9 +91,9 @@ mod tests {
     fn boxes_are_met_in_their_middle() {
         let (min, max) = (Vec3::new(3.9, -0.1, -0.1), Vec3::new(4.1, 0.1, 0.1));
         let patch = Patch { shape: Shape::Box { min, max }, class: 0, points: 1 };
-        let at = |y: f32| patch.meet(&ray([0.0, y, 0.0], [2.0, 0.0, 0.0]));
+        let at = |y: f32| meet(&patch, [0.0, y, 0.0], [2.0, 0.0, 0.0]);
         assert_eq!((at(0.09), at(0.11), at(-0.11)), (2.0, f32::INFINITY, f32::INFINITY));
-        assert_eq!(patch.meet(&ray([8.0, 0.0, 0.0], [1.0, 0.0, 0.0])), f32::INFINITY);
+        assert_eq!(meet(&patch, [8.0, 0.0, 0.0], [1.0, 0.0, 0.0]), f32::INFINITY);
         let bounds = patch.bounds();
         assert_eq!((Vec3::from(bounds.min), Vec3::from(bounds.max)), (min, max));
     }

@@ -145,8 +145,8 @@ mod tests {
 
     /// Returns the range at which a ray along x from a place meets pieces.
     fn range(patches: &[Patch], [y, z]: [f32; 2]) -> Option<f32> {
-        let ray = obvhs::ray::Ray::new([0.0, y, z].into(), [1.0, 0.0, 0.0].into(), 0.0, 100.0);
-        let nearest = patches.iter().map(|patch| patch.meet(&ray)).fold(f32::INFINITY, f32::min);
+        let meet = |patch: &Patch| patch.meet([0.0, y, z].into(), [1.0, 0.0, 0.0].into());
+        let nearest = patches.iter().map(meet).fold(f32::INFINITY, f32::min);
         nearest.is_finite().then_some(nearest)
     }
 

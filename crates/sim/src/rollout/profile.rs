@@ -121,10 +121,12 @@ impl Profile {
         let ms = |name: &str| 1e3 * self.medians.get(name).copied().unwrap_or(0.0);
         let names = ["write_maps_s", "write_view_s", "write_birdseye_s", "write_rest_s"];
         let writing: f64 = names.iter().map(|name| ms(name)).sum();
+        let lidar = format!(", LiDAR {:.1}", ms("lidar_s"));
+        let lidar = if ms("lidar_s") >= 0.05 { lidar.as_str() } else { "" };
         let stages: Vec<String> =
             self.stages_s.iter().map(|(name, time)| format!("{name} {time:.2}")).collect();
         format!(
-            "{}a step takes {:.1} ms (median; policies {:.1}, drawing {:.1}), {:.1} steps a second; \
+            "{}a step takes {:.1} ms (median; policies {:.1}, drawing {:.1}{lidar}), {:.1} steps a second; \
              writing {writing:.1} ms beside it; drawing in seconds: {}; loop {:.2} s, report {:.2} s",
             self.generating(),
             ms("step_s"),
@@ -202,10 +204,19 @@ mod tests {
         let step = |ms: f64| StepTimes { policies_s: ms / 1e3, finish_s: 0.02, ..StepTimes::default() };
         let mut profile = Profile { steps: [9.0, 5.0, 700.0].map(step).to_vec(), ..Profile::default() };
         let info = RasterizerInfo { rasterizer: "cpu", device: "d".into(), driver: String::new() };
-        profile.close(Duration::ZERO, info, &StageTimes::default());
+        profile.close(Duration::ZERO, info.clone(), &StageTimes::default());
         let text = profile.summary();
         assert!(
             text.starts_with("a step takes 29.0 ms (median; policies 9.0, drawing 20.0), 34.5 steps"),
+            "{text}"
+        );
+        profile.steps.iter_mut().for_each(|step| step.lidar_s = 0.041);
+        profile.close(Duration::ZERO, info, &StageTimes::default());
+        let text = profile.summary();
+        assert!(
+            text.starts_with(
+                "a step takes 70.0 ms (median; policies 9.0, drawing 20.0, LiDAR 41.0), 14.3 steps"
+            ),
             "{text}"
         );
         assert_eq!(median(std::iter::empty()), None);
