@@ -86,7 +86,7 @@ def learned(fitted_base: Path, tmp_path_factory: pytest.TempPathFactory) -> Lear
     optimizer = torch.optim.AdamW(made.players[0].groups, lr=rate, weight_decay=0.0)
     schedule = torch.optim.lr_scheduler.LambdaLR(optimizer, lambda n: min(1.0, (n + 1) / warmup) * (1.0 - n / count))
     for number in range(count):
-        steps(made, optimizer, range(number, number + 1), [CLIP, REPEATED] * 8)
+        steps(made, optimizer, range(number, number + 1), [CLIP, REPEATED] * 4)
         schedule.step()
     made.network.eval()
     path = tmp_path_factory.mktemp("learned") / "weights.safetensors"

@@ -249,6 +249,14 @@ fn distance_m(area: &[DVec2], p: DVec2) -> f64 {
 fn vehicles_obey_lights_and_stop_signs() {
     let (mut halted, mut passed_lights) = (0, 0);
     for Case { seed, network, traffic, .. } in cases() {
+        let vehicles = traffic.actors.iter().filter(moves).filter(|a| !walks(a));
+        // Places of the front and headings.
+        let fronts = |actor: &Actor| -> Vec<[DVec2; 2]> {
+            let ahead = DVec3::X * actor.body.size_m().x / 2.0;
+            let front = |pose: &Pose| [pose.transform_point(ahead), pose.rotation * DVec3::X];
+            actor.motion.poses.iter().map(|pose| front(pose).map(DVec3::truncate)).collect()
+        };
+        let vehicles: Vec<_> = vehicles.map(|actor| (actor, fronts(actor))).collect();
         for (line, lane) in &network.stop_lines {
             let LaneKind::Road(road) = network.lanes[*lane].kind else { panic!("{lane}") };
             let connector = network.lanes[network.lanes[*lane].successors[0]].kind;
@@ -256,13 +264,11 @@ fn vehicles_obey_lights_and_stop_signs() {
             let (middle, along) = ((line[0] + line[1]) / 2.0, (line[1] - line[0]).perp().normalize());
             let line = &network.lanes[*lane].centerline;
             let ahead = (line[line.len() - 1] - line[line.len() - 2]).normalize();
-            for actor in traffic.actors.iter().filter(moves).filter(|a| !walks(a)) {
-                let front = |pose: &Pose| {
-                    pose.transform_point(DVec3::X * actor.body.size_m().x / 2.0).truncate() - middle
-                };
-                let passes = actor.motion.poses.windows(2).position(|w| {
-                    let (a, b) = (front(&w[0]), front(&w[1]));
-                    if (w[0].rotation * DVec3::X).truncate().dot(ahead) < 0.9 {
+            for (actor, fronts) in &vehicles {
+                let passes = fronts.windows(2).position(|w| {
+                    let ([a, heading], [b, _]) = (w[0], w[1]);
+                    let (a, b) = (a - middle, b - middle);
+                    if heading.dot(ahead) < 0.9 {
                         return false;
                     }
                     let beside = a.dot(along.perp()).abs() < 1.6;
