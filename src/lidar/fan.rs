@@ -72,8 +72,8 @@ impl Fan {
         }
     }
 
-    /// Returns what of the fan may meet a box: its center from the fan's origin, and half its size along axes,
-    /// the columns of a matrix. `None` if no ray may.
+    /// Returns what of the fan may meet a box; `None` if no ray may. The box has its center from the fan's
+    /// origin, and half its size along axes, the columns of a matrix.
     #[inline(always)]
     pub(super) fn reach_of(&self, offset: DVec3, axes: DMat3, half: DVec3) -> Option<Reach> {
         let across = axes.transpose();
@@ -81,7 +81,7 @@ impl Fan {
         self.reach(offset.as_vec3a(), extents.into(), (axes * half).length() as f32)
     }
 
-    /// Returns what of the fan may meet a box along the axes of the frame, by the box's corners from the fan's
+    /// Returns what of the fan may meet a box along the axes of the frame, whose corners are from the fan's
     /// origin; `None` if no ray may.
     #[inline(always)]
     pub(super) fn reach_box(&self, min: Vec3A, max: Vec3A) -> Option<Reach> {

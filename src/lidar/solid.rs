@@ -63,9 +63,9 @@ impl Solid {
         Self { patches, tree }
     }
 
-    /// Returns the first surface that each ray of a fan meets up to its distance, in lengths of its direction:
-    /// the mean of its layers, weighted by their numbers of points. Distances are in the order of the rays as
-    /// given to the fan; rays of negative ones are not searched.
+    /// Returns the first surface that each ray of a fan meets up to its distance: the mean of its layers,
+    /// weighted by their numbers of points. Distances are in lengths of the ray's direction, in the order of
+    /// the rays as given to the fan; rays of negative ones are not searched.
     pub(super) fn meet(&self, origin: Vec3A, fan: &Fan, far: &[f32]) -> Vec<Hit> {
         let far = fan.order.iter().map(|number| far[*number as usize]);
         let search = |(direction, far): (&Vec3A, f32)| {
