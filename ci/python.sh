@@ -22,4 +22,4 @@ export PYTHONDONTWRITEBYTECODE= PYTHONPYCACHEPREFIX="$folder/bytecode"
 export OMP_NUM_THREADS=1
 # Not in the folder of the sources, which would hide the installed package.
 cd "$scratch"
-"$folder/env/bin/python" -m pytest -p no:cacheprovider -q -rs -n 2 --dist loadfile --durations=${DURATIONS:-20} "$OLDPWD/python/tests" "$@"
+"$folder/env/bin/python" -m pytest -p no:cacheprovider -q -rs -n 2 --dist loadfile --durations=20 "$OLDPWD/python/tests" "$@"

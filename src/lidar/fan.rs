@@ -15,11 +15,9 @@ pub(super) struct Fan {
     pub(super) directions: Vec<Vec3A>,
     /// Number of each direction as given.
     pub(super) order: Vec<u32>,
-    /// Unit vector in the half-plane, in the middle of the rays; the one across; the plane's normal.
-    axes: [Vec3A; 3],
-    /// The axes as rows: from the boxes' frame to the fan's.
+    /// From the boxes' frame to the fan's: along the middle of the rays, across it, and beside the half-plane.
     from_boxes: Mat3A,
-    /// Their absolute values: from half the size of a box along the boxes' axes to that along the fan's.
+    /// Its absolute values, for half sizes.
     sizes: Mat3A,
     /// Components across the middle per component along it, ascending; empty if not all rays go forward along
     /// the middle.
@@ -61,28 +59,19 @@ impl Fan {
         }
         let directions = order.iter().map(|number| given[*number as usize]).collect();
         let from_boxes = Mat3A::from_cols(middle, up, normal).transpose();
-        Self {
-            directions,
-            order,
-            axes: [middle, up, normal],
-            from_boxes,
-            sizes: from_boxes.abs(),
-            slopes,
-            spread,
-        }
+        Self { directions, order, from_boxes, sizes: from_boxes.abs(), slopes, spread }
     }
 
-    /// Returns what of the fan may meet a box; `None` if no ray may. The box has its center from the fan's
+    /// Returns the part of the fan that may meet a box; `None` if no ray may. The box has its center from the fan's
     /// origin, and half its size along axes, the columns of a matrix.
     #[inline(always)]
     pub(super) fn reach_of(&self, offset: DVec3, axes: DMat3, half: DVec3) -> Option<Reach> {
-        let across = axes.transpose();
-        let extents = self.axes.map(|axis| half.dot((across * axis.as_dvec3()).abs()) as f32);
-        self.reach(offset.as_vec3a(), extents.into(), (axes * half).length() as f32)
+        let extents = (self.from_boxes.as_dmat3() * axes).abs() * half;
+        self.reach(offset.as_vec3a(), extents.as_vec3a(), (axes * half).length() as f32)
     }
 
-    /// Returns what of the fan may meet a box along the axes of the frame, whose corners are from the fan's
-    /// origin; `None` if no ray may.
+    /// Returns the part of the fan that may meet an axis-aligned box; `None` if no ray may. Its corners are
+    /// from the fan's origin.
     #[inline(always)]
     pub(super) fn reach_box(&self, min: Vec3A, max: Vec3A) -> Option<Reach> {
         let half = (max - min) * 0.5;
@@ -112,7 +101,7 @@ impl Fan {
         Some(Reach { near, slopes })
     }
 
-    /// Returns the numbers of the directions that a part of the fan has.
+    /// Returns which directions a part of the fan has.
     pub(super) fn rays(&self, reach: &Reach) -> Range<usize> {
         if self.slopes.is_empty() {
             return 0..self.directions.len();
@@ -122,7 +111,7 @@ impl Fan {
         first..first + self.slopes[first..].partition_point(|slope| *slope <= high)
     }
 
-    /// Returns whether a part of the fan has a direction of some that follow each other.
+    /// Returns whether a part of the fan has any of these directions.
     #[inline(always)]
     pub(super) fn has(&self, reach: &Reach, rays: &Range<usize>) -> bool {
         let [Some(first), Some(last)] =

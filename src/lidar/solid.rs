@@ -107,7 +107,7 @@ impl Solid {
         searches.iter().zip(&sums).zip(&fan.order).filter_map(hit).collect()
     }
 
-    /// Visits the patches that some rays of a fan may meet, with the numbers of these rays.
+    /// Visits the patches that some rays of a fan may meet, each with these rays.
     fn visit(
         &self,
         tree: &Bvh2,

@@ -250,7 +250,7 @@ fn vehicles_obey_lights_and_stop_signs() {
     let (mut halted, mut passed_lights) = (0, 0);
     for Case { seed, network, traffic, .. } in cases() {
         let vehicles = traffic.actors.iter().filter(moves).filter(|a| !walks(a));
-        // Places of the front and headings.
+        // Where the front is, and the heading.
         let fronts = |actor: &Actor| -> Vec<[DVec2; 2]> {
             let ahead = DVec3::X * actor.body.size_m().x / 2.0;
             let front = |pose: &Pose| [pose.transform_point(ahead), pose.rotation * DVec3::X];
