@@ -15,7 +15,7 @@ pub(super) struct Fan {
     pub(super) directions: Vec<Vec3A>,
     /// Number of each direction as given.
     pub(super) order: Vec<u32>,
-    /// From the boxes' frame to the fan's: along the middle of the rays, across it, and beside the half-plane.
+    /// From the boxes' frame to the fan's: along the middle of the rays, across it, beside the half-plane.
     from_boxes: Mat3A,
     /// Its absolute values, for half sizes.
     sizes: Mat3A,
@@ -62,8 +62,8 @@ impl Fan {
         Self { directions, order, from_boxes, sizes: from_boxes.abs(), slopes, spread }
     }
 
-    /// Returns the part of the fan that may meet a box; `None` if no ray may. The box has its center from the fan's
-    /// origin, and half its size along axes, the columns of a matrix.
+    /// Returns the part of the fan that may meet a box; `None` if no ray may. The box has its center from the
+    /// fan's origin, and half its size along axes, the columns of a matrix.
     #[inline(always)]
     pub(super) fn reach_of(&self, offset: DVec3, axes: DMat3, half: DVec3) -> Option<Reach> {
         let extents = (self.from_boxes.as_dmat3() * axes).abs() * half;
