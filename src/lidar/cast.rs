@@ -1,18 +1,11 @@
 //! Rays against the solids of a scene.
 
-use glam::{DAffine3, DMat3, DVec3};
+use glam::{DMat3, DVec3};
 
+use super::bodies::Bodies;
 use super::fan::Fan;
-use super::motion::ActorPath;
-use super::solid::{Hit, Solid};
+use super::search::{Hit, Search};
 use super::solids::Solids;
-use crate::cloud::Bounds;
-use crate::dataset::Class;
-use crate::raster::Instance;
-use crate::scene::ActorState;
-
-/// What surfaces may extend beyond the bounds of their points, meters.
-const BEYOND_M: f64 = 0.1;
 
 /// Rays of an instant from a point: a column of a device, for example.
 #[derive(Clone, Debug, PartialEq)]
@@ -36,85 +29,18 @@ pub struct LidarHit {
     pub instance: u32,
 }
 
-/// Part of a vehicle's box that is inside of every vehicle, from -1 to 1 along its axes: from door to door,
-/// and from the floor to the height of the seats.
-const CORE: [DVec3; 2] = [DVec3::new(-0.85, -0.8, -0.8), DVec3::new(0.85, 0.8, 0.2)];
-
-/// A solid of the scene.
-#[derive(Clone, Debug)]
-pub(super) struct Body {
-    pub(super) cloud: usize,
-    /// Actor number; 0 for the background.
-    number: u32,
-    /// Pose of an actor's cloud in the actor's box; of the background's in the global frame.
-    parent_from_local: DAffine3,
-    path: Option<ActorPath>,
-    /// Center and half size of the bounds, meters, in the cloud's frame.
-    center: DVec3,
-    half: DVec3,
-    /// Inside of a vehicle: no ray passes it.
-    core: Option<[DVec3; 2]>,
-}
-
-/// A body that rays may meet.
-struct Candidate<'b> {
-    number: u32,
-    solid: &'b Solid,
-    local_from_world: DAffine3,
-    core: Option<[DVec3; 2]>,
-    /// Least range at which it can be met, meters.
-    near_m: f32,
-}
-
-impl Body {
-    /// Creates the body of an instance with bounds, and of its actor with its path.
-    pub(super) fn new(instance: &Instance, bounds: &Bounds, actor: Option<(&ActorState, ActorPath)>) -> Self {
-        let [min, max] = [bounds.min, bounds.max].map(|at| DVec3::from(at.map(f64::from)));
-        let parent_from_world = actor.map_or(DAffine3::IDENTITY, |(_, path)| path.at(0.0).affine().inverse());
-        let parent_from_local = parent_from_world * instance.world_from_local;
-        let vehicle = actor.filter(|(actor, _)| actor.class == Class::MotorVehicle);
-        let core = vehicle.map(|(actor, _)| {
-            let local_from_parent = parent_from_local.inverse();
-            CORE.map(|corner| local_from_parent.transform_point3(corner * actor.cuboid.size / 2.0))
-        });
-        Self {
-            cloud: instance.cloud,
-            number: instance.number,
-            parent_from_local,
-            path: actor.map(|(_, path)| path),
-            center: (min + max) / 2.0,
-            half: (max - min) / 2.0 + BEYOND_M,
-            core,
-        }
-    }
-
-    /// Returns the pose of its cloud in the global frame, a time after the state's, seconds.
-    fn world_from_local(&self, after_s: f64) -> DAffine3 {
-        let Some(path) = &self.path else { return self.parent_from_local };
-        path.at(after_s).affine() * self.parent_from_local
-    }
-
-    /// Returns the least distance of its bounding sphere from a point, meters.
-    pub(super) fn distance_m(&self, from: DVec3, after_s: f64) -> f64 {
-        let world_from_local = self.world_from_local(after_s);
-        let half = world_from_local.matrix3 * self.half;
-        world_from_local.transform_point3(self.center).distance(from) - half.length()
-    }
-}
-
 /// Returns the first surface of bodies that each ray meets up to a range.
 pub(super) fn cast(
     rays: &LidarRays,
-    bodies: &[Body],
+    bodies: &Bodies,
     solids: &Solids<'_>,
     far_m: f64,
 ) -> Vec<Option<LidarHit>> {
     let fan = Fan::of(rays.directions.iter().copied());
-    let candidate = |body| candidate(body, rays, &fan, solids);
-    let mut candidates: Vec<Candidate<'_>> = bodies.iter().filter_map(candidate).collect();
-    candidates.sort_by(|a, b| a.near_m.total_cmp(&b.near_m));
+    let candidates = bodies.candidates(rays, &fan, solids);
     let mut far: Vec<f32> = vec![far_m as f32; rays.directions.len()];
     let mut found = vec![None; far.len()];
+    let mut search = Search::default();
     for candidate in &candidates {
         let searched: Vec<f32> =
             far.iter().map(|far| if candidate.near_m > *far { -1.0 } else { *far }).collect();
@@ -124,32 +50,25 @@ pub(super) fn cast(
         let frame = candidate.local_from_world;
         let origin = frame.transform_point3(rays.origin);
         let is_turned = frame.matrix3 != DMat3::IDENTITY;
-        let turned = || Fan::of(rays.directions.iter().map(|direction| frame.transform_vector3(*direction)));
-        let turned = is_turned.then(turned);
+        let turned = is_turned.then(|| fan.turned(frame.matrix3));
         let fan = turned.as_ref().unwrap_or(&fan);
-        for Hit { ray, t, class } in candidate.solid.meet(origin.as_vec3a(), fan, &searched) {
+        search.start(fan, &searched);
+        candidate.solid.meet(origin.as_vec3a(), fan, &mut search);
+        for Hit { ray, t, class } in search.hits(fan) {
             far[ray] = t as f32;
-            found[ray] = Some(LidarHit { range_m: t, class, instance: candidate.number });
+            found[ray] = Some(LidarHit { range_m: t, class, instance: candidate.body.number });
         }
-        let Some(core) = candidate.core else { continue };
-        for (ray, direction) in rays.directions.iter().enumerate().filter(|(ray, _)| searched[*ray] >= 0.0) {
-            let entered = enter(core, origin, frame.transform_vector3(*direction));
-            if let Some(t) = entered.map(|t| t as f32).filter(|t| *t < far[ray]) {
-                (far[ray], found[ray]) = (t, None);
+        let Some(core) = candidate.body.core else { continue };
+        for ray in fan.rays_to(core, origin) {
+            let number = fan.order[ray] as usize;
+            let direction = fan.direction(ray).as_dvec3();
+            let entered = enter(core, origin, direction).map(|t| t as f32);
+            if let Some(t) = entered.filter(|t| searched[number] >= 0.0 && *t < far[number]) {
+                (far[number], found[number]) = (t, None);
             }
         }
     }
     found
-}
-
-/// Returns a body as a candidate; `None` if no ray can meet it.
-fn candidate<'b>(body: &Body, rays: &LidarRays, fan: &Fan, solids: &'b Solids<'_>) -> Option<Candidate<'b>> {
-    let solid = solids.get(body.cloud)?;
-    let world_from_local = body.world_from_local(rays.after_s);
-    let offset = world_from_local.transform_point3(body.center) - rays.origin;
-    let near_m = fan.reach_of(offset, world_from_local.matrix3, body.half)?.near;
-    let local_from_world = world_from_local.inverse();
-    Some(Candidate { number: body.number, solid, local_from_world, core: body.core, near_m })
 }
 
 /// Returns where a ray from outside of a box enters it, in lengths of its direction.
@@ -161,11 +80,16 @@ fn enter([min, max]: [DVec3; 2], origin: DVec3, direction: DVec3) -> Option<f64>
 
 #[cfg(test)]
 mod tests {
+    use glam::DAffine3;
+
+    use super::super::bodies::Body;
     use super::super::motion::Motion;
     use super::*;
     use crate::cloud::Point;
+    use crate::dataset::Class;
     use crate::geometry::{Cuboid, Pose};
-    use crate::scene::SceneState;
+    use crate::raster::Instance;
+    use crate::scene::{ActorState, SceneState};
 
     /// Points of a wall across x every 4 cm: y from -2 to 2 m, z from 0 to 2 m.
     fn wall(x: f32) -> Vec<Point> {
@@ -222,11 +146,13 @@ mod tests {
         };
         solids.make([0, 1].into_iter()).unwrap();
         let paths = motion.paths();
-        let bodies = [
+        let bodies = vec![
             Body::new(&instance(0, 0), &solids.bounds(0).unwrap(), None),
             Body::new(&instance(1, 1), &solids.bounds(1).unwrap(), Some((&now.actors[0], paths[0]))),
         ];
-        cast(&LidarRays { after_s, origin, directions: directions.to_vec() }, &bodies, &solids, 50.0)
+        let rays = LidarRays { after_s, origin, directions: directions.to_vec() };
+        let bodies = Bodies::of(bodies, std::slice::from_ref(&rays));
+        cast(&rays, &bodies, &solids, 50.0)
     }
 
     #[test]

@@ -14,20 +14,24 @@
 //! passed between the points of near cars, and fitting planes for each ray took several times as long. Depth
 //! maps: a pixel of the road 30 m ahead is half a meter long. Splats as large as the gaps: objects grow.
 
+mod bodies;
 mod cast;
 mod error;
 mod fan;
+mod lanes;
 mod mask;
 mod motion;
 mod patch;
 mod plane;
 mod presets;
 mod render;
+mod search;
 mod solid;
 mod solids;
 mod spec;
 mod split;
 mod sweep;
+mod tree;
 mod write;
 
 pub use cast::{LidarHit, LidarRays};

@@ -3,10 +3,16 @@
 use glam::{Vec3, Vec3A};
 use obvhs::aabb::Aabb;
 
-use super::mask::Mask;
+use super::lanes::{Lanes, and, dot, squared};
+use super::mask::{Mask, SIDE};
+
+/// Sine of the angle between a plane and rays that are along it: they meet it within its box. A row of points
+/// from one beam is on the plane of that beam, and so are the rays that should meet it.
+const EDGE_ON: f32 = 0.005;
 
 /// A piece of a surface.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[repr(align(64))]
 pub(super) struct Patch {
     pub(super) shape: Shape,
     /// Coarse class of its points.
@@ -37,27 +43,84 @@ impl Patch {
         Aabb::new(Vec3A::from(min), Vec3A::from(max))
     }
 
-    /// Returns the distance at which a ray meets the patch, in lengths of its direction; infinite if it does
-    /// not.
-    #[inline]
-    pub(super) fn meet(&self, origin: Vec3A, direction: Vec3A) -> f32 {
-        let (origin, direction) = (Vec3::from(origin), Vec3::from(direction));
+    /// Returns the distances at which rays from a point meet the patch, in lengths of their directions;
+    /// infinite if they do not.
+    #[inline(always)]
+    pub(super) fn meet<const N: usize>(&self, origin: Vec3A, directions: [Lanes<N>; 3]) -> Lanes<N> {
         match self.shape {
             Shape::Plane { normal, offset, min, max, along, mask } => {
-                let t = (offset - normal.dot(origin)) / normal.dot(direction);
-                let at = origin + direction * t;
-                let is_inside = t > 0.0 && at.cmpge(min).all() && at.cmple(max).all();
-                let cell = across(along).map(|axis| (at[axis] - min[axis]) / (max[axis] - min[axis]));
-                if is_inside && mask.has(cell) { t } else { f32::INFINITY }
+                let slopes = dot(normal.to_array(), directions);
+                let t = Lanes::all(offset - normal.dot(origin.into())) / slopes;
+                let [x, y, z] = directions;
+                let at = [x * t + origin.x, y * t + origin.y, z * t + origin.z];
+                let is_between = |axis: usize| {
+                    and(Lanes::all(min[axis]).at_most(at[axis]), at[axis].at_most(Lanes::all(max[axis])))
+                };
+                let is_inside = and(and(is_between(0), is_between(1)), is_between(2));
+                let mut met = Lanes::all(f32::INFINITY);
+                for (i, is_inside) in is_inside.into_iter().enumerate() {
+                    let at = Vec3::new(at[0].0[i], at[1].0[i], at[2].0[i]);
+                    if is_inside && t.0[i] > 0.0 && mask.has(cell(at, min, max, along)) {
+                        met.0[i] = t.0[i];
+                    }
+                }
+                let edge_on = (slopes * slopes).at_most(squared(directions) * (EDGE_ON * EDGE_ON));
+                if edge_on != [false; N] {
+                    let (first, last) = within(min, max, origin, directions);
+                    for (i, is_edge_on) in edge_on.into_iter().enumerate() {
+                        if is_edge_on && first.0[i] <= last.0[i] && first.0[i] > 0.0 {
+                            let direction = Vec3::new(x.0[i], y.0[i], z.0[i]);
+                            let step = (last.0[i] - first.0[i]) / (2 * SIDE) as f32;
+                            let steps = (0..2 * SIDE).map(|part| first.0[i] + (part as f32 + 0.5) * step);
+                            let has = |t: &f32| {
+                                mask.has(cell(Vec3::from(origin) + direction * *t, min, max, along))
+                            };
+                            met.0[i] = steps.into_iter().find(has).unwrap_or(f32::INFINITY).min(met.0[i]);
+                        }
+                    }
+                }
+                met
             }
             Shape::Box { min, max } => {
-                let [a, b] = [min, max].map(|corner| (corner - origin) / direction);
-                let (first, last) = (a.min(b).max_element(), a.max(b).min_element());
-                let middle = ((min + max) / 2.0 - origin).dot(direction) / direction.length_squared();
-                if first <= last && first > 0.0 { middle.clamp(first, last) } else { f32::INFINITY }
+                let middle = (min + max) / 2.0 - Vec3::from(origin);
+                let middle = dot(middle.to_array(), directions) / squared(directions);
+                let (first, last) = within(min, max, origin, directions);
+                let mut met = Lanes::all(f32::INFINITY);
+                for i in 0..N {
+                    let (first, last) = (first.0[i], last.0[i]);
+                    if first <= last && first > 0.0 {
+                        met.0[i] = middle.0[i].clamp(first, last);
+                    }
+                }
+                met
             }
         }
     }
+}
+
+/// Returns where rays from a point enter and leave a box, in lengths of their directions: those that miss it
+/// leave before they enter.
+#[inline(always)]
+fn within<const N: usize>(
+    min: Vec3,
+    max: Vec3,
+    origin: Vec3A,
+    directions: [Lanes<N>; 3],
+) -> (Lanes<N>, Lanes<N>) {
+    let ends = |axis: usize| {
+        let inverse = Lanes::all(1.0) / directions[axis];
+        let (a, b) = (inverse * (min[axis] - origin[axis]), inverse * (max[axis] - origin[axis]));
+        (a.min(b), a.max(b))
+    };
+    let (x, y, z) = (ends(0), ends(1), ends(2));
+    (x.0.max(y.0).max(z.0), x.1.min(y.1).min(z.1))
+}
+
+/// Returns the coordinates of a place over the mask of a box.
+#[inline(always)]
+fn cell(at: Vec3, min: Vec3, max: Vec3, along: u8) -> [f32; 2] {
+    let [a, b] = across(along);
+    [(at[a] - min[a]) / (max[a] - min[a]), (at[b] - min[b]) / (max[b] - min[b])]
 }
 
 #[cfg(test)]
@@ -65,7 +128,7 @@ mod tests {
     use super::*;
 
     fn meet(patch: &Patch, origin: [f32; 3], direction: [f32; 3]) -> f32 {
-        patch.meet(origin.into(), direction.into())
+        patch.meet(origin.into(), direction.map(|d| Lanes([d]))).0[0]
     }
 
     /// The plane x = 5 over y, z from 0 to 8; the mask has the cell of y from 2 to 3 and z from 4 to 5.

@@ -3,7 +3,8 @@
 use glam::DVec3;
 use rayon::prelude::*;
 
-use super::cast::{Body, LidarHit, LidarRays, cast};
+use super::bodies::{Bodies, Body};
+use super::cast::{LidarHit, LidarRays, cast};
 use super::error::LidarError;
 use super::motion::Motion;
 use super::solids::Solids;
@@ -46,6 +47,7 @@ impl Scene<'_, '_> {
             ends.into_iter().flatten().any(is_near)
         };
         self.solids.make(bodies.iter().filter(reaches).map(|body| body.cloud))?;
+        let bodies = Bodies::of(bodies, rays);
         Ok(rays.par_iter().map(|rays| cast(rays, &bodies, self.solids, far_m)).collect())
     }
 

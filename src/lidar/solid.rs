@@ -1,146 +1,55 @@
 //! A cloud as pieces of surfaces, in a bounding volume hierarchy (`obvhs`).
 
-use std::ops::Range;
-
 use glam::Vec3A;
-use obvhs::BvhBuildParams;
-use obvhs::bvh2::Bvh2;
-use obvhs::bvh2::builder::build_bvh2;
+use obvhs::aabb::Aabb;
 
 use super::fan::Fan;
 use super::patch::Patch;
+use super::search::Search;
 use super::split::patches;
+use super::tree::{Tree, Visit};
 use crate::cloud::Point;
-
-/// Depth within which surfaces are layers of one, meters along the ray: sweeps and devices differ by
-/// centimeters, and the first of several layers is nearer than their surface.
-const LAYERS_M: f32 = 0.2;
+use crate::vectors::wide;
 
 /// Surfaces of a cloud, in its own frame.
 pub(super) struct Solid {
+    /// In the order of the tree.
     patches: Vec<Patch>,
-    /// `None` without patches, because the tree's builder requires some.
-    tree: Option<Bvh2>,
-}
-
-/// Where a ray meets a solid.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Hit {
-    /// Number of the ray as given to the fan.
-    pub(super) ray: usize,
-    /// Distance along the ray, in lengths of its direction.
-    pub(super) t: f64,
-    /// Coarse class.
-    pub(super) class: u8,
-}
-
-/// A ray of a fan while its first surface is searched.
-#[derive(Clone, Copy)]
-struct Search {
-    direction: Vec3A,
-    /// Greatest distance, in lengths of the direction as all here; negative if the ray is not searched.
-    far: f32,
-    /// Depth of layers.
-    layers: f32,
-    /// The nearest surface, and its class.
-    first: (f32, u8),
-}
-
-/// A piece of a surface that a ray meets.
-struct Met {
-    ray: usize,
-    t: f32,
-    points: u32,
+    tree: Tree,
 }
 
 impl Solid {
     /// Creates the surfaces of points.
     pub(super) fn of(points: &[Point]) -> Self {
         let patches = patches(points);
-        let boxes: Vec<_> = patches.iter().map(Patch::bounds).collect();
-        let build = || build_bvh2(&boxes, BvhBuildParams::fast_build(), &mut Default::default());
-        let tree = (!boxes.is_empty()).then(build);
-        Self { patches, tree }
+        let boxes: Vec<Aabb> = patches.iter().map(Patch::bounds).collect();
+        let (tree, order) = Tree::of(&boxes);
+        Self { patches: order.into_iter().map(|number| patches[number as usize]).collect(), tree }
     }
 
-    /// Returns the first surface that each ray of a fan meets up to its distance: the mean of its layers,
-    /// weighted by their numbers of points. Distances are in lengths of the ray's direction, in the order of
-    /// the rays as given to the fan; rays of negative ones are not searched.
-    pub(super) fn meet(&self, origin: Vec3A, fan: &Fan, far: &[f32]) -> Vec<Hit> {
-        let far = fan.order.iter().map(|number| far[*number as usize]);
-        let search = |(direction, far): (&Vec3A, f32)| {
-            let layers = LAYERS_M / direction.length();
-            Search { direction: *direction, far, layers, first: (f32::INFINITY, 0) }
-        };
-        let mut searches: Vec<Search> = fan.directions.iter().zip(far).map(search).collect();
-        let is_searched = |search: &Search| search.far >= 0.0;
-        let (Some(tree), Some(first)) = (&self.tree, searches.iter().position(is_searched)) else {
-            return Vec::new();
-        };
-        let all = first..searches.iter().rposition(is_searched).map_or(first, |last| last + 1);
-        let mut met = Vec::new();
-        self.visit(tree, origin, fan, &all, &mut |patch, rays| {
-            for ray in rays {
-                let search = &mut searches[ray];
-                let t = patch.meet(origin, search.direction);
-                if t > search.first.0.min(search.far) + search.layers {
-                    continue;
+    /// Lets the rays of a fan from a point meet the surfaces.
+    pub(super) fn meet(&self, origin: Vec3A, fan: &Fan, search: &mut Search) {
+        wide(
+            #[inline(always)]
+            || {
+                let mut left = self.tree.start(origin, fan);
+                while let Some(Visit { near, branch, rays }) = left.pop() {
+                    let rays = [rays[0] as usize, rays[1] as usize];
+                    if !search.is_open(fan, rays, near) {
+                        continue;
+                    }
+                    match branch.piece() {
+                        Some(patch) => search.meet(&self.patches[patch], origin, fan, rays),
+                        None => self.tree.branch(branch, origin, fan, &mut left),
+                    }
                 }
-                met.push(Met { ray, t, points: patch.points });
-                if t <= search.far && t < search.first.0 {
-                    search.first = (t, patch.class);
-                }
-            }
-        });
-        let mut sums = vec![(0.0, 0.0); searches.len()];
-        for Met { ray, t, points } in met {
-            let Search { layers, first, .. } = searches[ray];
-            if t <= first.0 + layers {
-                let (weight, sum) = (f64::from(points), &mut sums[ray]);
-                *sum = (sum.0 + weight * f64::from(t), sum.1 + weight);
-            }
-        }
-        let hit = |((search, sum), number): ((&Search, &(f64, f64)), &u32)| {
-            let (t, class) = search.first;
-            t.is_finite().then(|| Hit { ray: *number as usize, t: sum.0 / sum.1, class })
-        };
-        searches.iter().zip(&sums).zip(&fan.order).filter_map(hit).collect()
-    }
-
-    /// Visits the patches that some rays of a fan may meet, each with these rays.
-    fn visit(
-        &self,
-        tree: &Bvh2,
-        origin: Vec3A,
-        fan: &Fan,
-        rays: &Range<usize>,
-        each: &mut impl FnMut(&Patch, Range<usize>),
-    ) {
-        let mut left = Vec::with_capacity(tree.max_depth);
-        left.push(0);
-        while let Some(node) = left.pop() {
-            let node = &tree.nodes[node as usize];
-            let bounds = node.aabb();
-            let reach = fan.reach_box(bounds.min - origin, bounds.max - origin);
-            let Some(reach) = reach.filter(|reach| fan.has(reach, rays)) else { continue };
-            if !node.is_leaf() {
-                left.extend([node.first_index, node.first_index + 1]);
-                continue;
-            }
-            let found = fan.rays(&reach);
-            let found = found.start.max(rays.start)..found.end.min(rays.end);
-            for id in node.first_index..node.first_index + node.prim_count {
-                each(&self.patches[tree.primitive_indices[id as usize] as usize], found.clone());
-            }
-        }
+            },
+        );
     }
 
     /// Returns the memory of the solid, bytes.
     pub(super) fn bytes(&self) -> u64 {
-        let tree = self.tree.as_ref().map_or(0, |tree| {
-            size_of_val(tree.nodes.as_slice()) + size_of_val(tree.primitive_indices.as_slice())
-        });
-        (size_of_val(self.patches.as_slice()) + tree) as u64
+        (size_of_val(self.patches.as_slice()) + self.tree.bytes()) as u64
     }
 }
 
@@ -148,7 +57,16 @@ impl Solid {
 mod tests {
     use glam::DVec3;
 
+    use super::super::lanes::Lanes;
+    use super::super::search::{Hit, LAYERS_M};
     use super::*;
+
+    fn hits(solid: &Solid, origin: Vec3A, fan: &Fan, far: &[f32]) -> Vec<Hit> {
+        let mut search = Search::default();
+        search.start(fan, far);
+        solid.meet(origin, fan, &mut search);
+        search.hits(fan).collect()
+    }
 
     /// Walls at 10, 10.06, 10.12 and 11 m.
     #[test]
@@ -164,7 +82,7 @@ mod tests {
         let solid = Solid::of(&points);
         let from = Vec3A::new(0.0, 0.5, 0.5);
         let all = |solid: &Solid, scale: f64, far: f32| {
-            solid.meet(from, &Fan::of([DVec3::X * scale].into_iter()), &[far])
+            hits(solid, from, &Fan::of([DVec3::X * scale].into_iter()), &[far])
         };
         let meet = |scale: f64| all(&solid, scale, 50.0)[0];
         assert!((meet(1.0).t - 10.06).abs() < 0.01 && (meet(2.0).t - 5.03).abs() < 0.005, "{:?}", meet(1.0));
@@ -207,12 +125,14 @@ mod tests {
                 fan(turn, [-2.0, 2.0], 0.01, 1.0),
             ] {
                 let from = Vec3A::new(turn as f32, -1.0, 1.5);
-                let together = solid.meet(from, &Fan::of(directions.iter().copied()), &[7.0; 64]);
+                let together = hits(&solid, from, &Fan::of(directions.iter().copied()), &[7.0; 64]);
                 let mut expected = Vec::new();
                 for (ray, direction) in directions.iter().enumerate() {
                     let direction = direction.as_vec3a();
-                    let met = solid.patches.iter().map(|patch| (patch.meet(from, direction), patch.points));
-                    let met: Vec<(f32, f64)> = met.map(|(t, points)| (t, f64::from(points))).collect();
+                    let met =
+                        |patch: &Patch| patch.meet(from, direction.to_array().map(|axis| Lanes([axis]))).0[0];
+                    let met = solid.patches.iter().map(|patch| (met(patch), f64::from(patch.points)));
+                    let met: Vec<(f32, f64)> = met.collect();
                     let first = met.iter().fold(f32::INFINITY, |first, (t, _)| first.min(*t));
                     if first > 7.0 {
                         continue;

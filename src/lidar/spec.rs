@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use glam::DVec3;
+use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::cast::LidarRays;
@@ -199,7 +200,7 @@ impl LidarDevice {
             let directions = (0..self.elevations_deg.len()).map(direction).collect();
             LidarRays { after_s, origin: translation, directions }
         };
-        (0..self.columns).map(rays).collect()
+        (0..self.columns).into_par_iter().map(rays).collect()
     }
 
     fn share(&self, column: usize) -> f64 {

@@ -23,6 +23,9 @@ const SMALL_M: f32 = 0.2;
 const THICK_M: f32 = 0.025;
 /// Least standard deviation along both axes of a plane, in standard deviations from it.
 const WIDE: f32 = 1.5;
+/// Least standard deviation from a plane that counts there, meters. A row of points from one beam is as wide as
+/// the noise of its ranges, and no other beam meets the plane of that one.
+const NOISE_M: f32 = 0.02;
 /// What a piece reaches beyond its points: part of a cell of its mask, and least, meters.
 const EDGE: f32 = 0.5;
 const EDGE_M: f32 = 0.005;
@@ -90,7 +93,7 @@ fn plane(points: &[(Vec3, u8)], cell: Cell, [min, max]: [Vec3; 2], is_small: boo
     let at: Vec<Vec3> = points.iter().map(|(at, _)| *at).collect();
     let plane = Plane::through(&at)?;
     let is_flat = plane.thickness_m <= THICK_M || is_small;
-    if at.len() < 4 || plane.width_m <= WIDE * plane.thickness_m || !is_flat {
+    if at.len() < 4 || plane.width_m <= WIDE * plane.thickness_m.max(NOISE_M) || !is_flat {
         return None;
     }
     let along = plane.normal.abs().max_position();
@@ -116,8 +119,16 @@ fn plane(points: &[(Vec3, u8)], cell: Cell, [min, max]: [Vec3; 2], is_small: boo
         return None;
     }
     let offset = plane.normal.dot(plane.mean);
+    // As far as the plane reaches between its sides, which are beyond the points.
+    let beside = sides.map(|side| [low, high].map(|end| end[side] * plane.normal[side]));
+    let reach = |choose: fn(f32, f32) -> f32| {
+        let [a, b] = beside.map(|[low, high]| choose(low, high) / plane.normal[along]);
+        offset / plane.normal[along] - a - b
+    };
+    let (a, b) = (reach(f32::min), reach(f32::max));
     let slack_m = 2.0 * plane.thickness_m + EDGE_M;
-    (low[along], high[along]) = (min[along] - slack_m, max[along] + slack_m);
+    low[along] = min[along].min(a.min(b)) - slack_m;
+    high[along] = max[along].max(a.max(b)) + slack_m;
     Some(Shape::Plane { normal: plane.normal, offset, min: low, max: high, along: along as u8, mask })
 }
 
@@ -136,6 +147,7 @@ fn class(points: &[(Vec3, u8)]) -> u8 {
 
 #[cfg(test)]
 mod tests {
+    use super::super::lanes::Lanes;
     use super::*;
     use crate::hash::between;
 
@@ -145,7 +157,8 @@ mod tests {
 
     /// Returns the range at which a ray along x from a place meets pieces.
     fn range(patches: &[Patch], [y, z]: [f32; 2]) -> Option<f32> {
-        let meet = |patch: &Patch| patch.meet([0.0, y, z].into(), [1.0, 0.0, 0.0].into());
+        let meet =
+            |patch: &Patch| patch.meet([0.0, y, z].into(), [1.0, 0.0, 0.0].map(|axis| Lanes([axis]))).0[0];
         let nearest = patches.iter().map(meet).fold(f32::INFINITY, f32::min);
         nearest.is_finite().then_some(nearest)
     }

@@ -42,6 +42,17 @@ pub struct TownRay {
     pub direction: DVec3,
 }
 
+/// Where a ray meets a town.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct TownHit {
+    /// Meters along the ray: no noise.
+    pub range_m: f64,
+    /// Cosine of the angle between the ray and the surface's normal, 0 to 1.
+    pub facing: f64,
+    /// Whether the surface is glass, of which most beams of a sweep have no return.
+    pub is_glass: bool,
+}
+
 /// Name of the location, for maps.
 pub(super) const LOCATION: &str = "town";
 /// Margin between the map and the edges of its canvas, meters.
@@ -113,16 +124,16 @@ impl Town {
         self.meshes.get_or_init(|| Meshes::new(&self.plan, self.options.seed))
     }
 
-    /// Returns the exact range of each ray, meters: no noise, and no losses. `None` without a hit within 0.9
-    /// to 100 m. Actors move between the times of rays, with their limbs at `t_us`, absolute microseconds.
-    pub fn ranges_m(&self, t_us: i64, rays: &[TownRay]) -> Vec<Option<f64>> {
+    /// Returns where each ray meets the town, whatever it loses there. `None` without a surface within 0.9 to
+    /// 100 m. Actors move between the times of rays, with their limbs at `t_us`, absolute microseconds.
+    pub fn hits(&self, t_us: i64, rays: &[TownRay]) -> Vec<Option<TownHit>> {
         let (movers, town_from_global) = (self.movers(seconds(t_us)), self.global_from_town.inverse());
         let scanner = self.scanner();
-        let range = |ray: &TownRay| {
+        let hit = |ray: &TownRay| {
             let origin = town_from_global.transform_point(ray.origin);
-            scanner.range_m(&movers, seconds(ray.t_us), origin, town_from_global.rotation * ray.direction)
+            scanner.hit(&movers, seconds(ray.t_us), origin, town_from_global.rotation * ray.direction)
         };
-        rays.par_iter().map(range).collect()
+        rays.par_iter().map(hit).collect()
     }
 
     pub(super) fn sweep(&self, record: &SweepRecord) -> Sweep {

@@ -31,6 +31,11 @@ pub(super) fn echo(hit: &Hit, facing: f64, noise: Noise, beam: i64) -> Option<(f
     (!lost).then(|| (hit.t + NOISE_M * normal(seed, beam), intensity))
 }
 
+/// Returns whether a surface is a window of a house or of a car.
+pub(super) fn is_glass(hit: &Hit) -> bool {
+    [Surface::Window, Surface::CarGlass].iter().any(|surface| hit.surface == *surface as u8)
+}
+
 /// Returns the share of light that is reflected, 0 to 1.
 fn reflectance(hit: &Hit) -> f64 {
     const MIRRORS_BACK: [Surface; 2] = [Surface::Paint, Surface::Sign];
@@ -38,7 +43,7 @@ fn reflectance(hit: &Hit) -> f64 {
     if MIRRORS_BACK.iter().any(is) {
         return 0.8;
     }
-    if is(&Surface::Window) || is(&Surface::CarGlass) {
+    if is_glass(hit) {
         return 0.05;
     }
     0.05 + 0.55 * brightness(hit)
@@ -54,7 +59,7 @@ fn brightness(hit: &Hit) -> f64 {
 /// at grazing angles.
 fn vanishing(hit: &Hit, facing: f64) -> f64 {
     let is = |surface: Surface| hit.surface == surface as u8;
-    if is(Surface::Window) || is(Surface::CarGlass) {
+    if is_glass(hit) {
         return 1.0 - 0.3 * facing.powi(2);
     }
     if is(Surface::CarPaint) {

@@ -20,6 +20,7 @@ use rayon::prelude::*;
 
 use self::echo::{Noise, echo};
 use self::solid::{Hit, Solid};
+use super::drive::TownHit;
 use super::mesh::Mesh;
 use super::model::Body;
 use super::plan::Motion;
@@ -104,17 +105,19 @@ impl Scanner {
         columns.flat_map_iter(|column| self.column(turn, column, &lidar_from_town)).collect()
     }
 
-    /// Returns the exact range of a ray in the town's frame at a time in seconds; `None` without a hit within
+    /// Returns where a ray in the town's frame meets a surface at a time in seconds; `None` without one within
     /// [`RANGE_M`].
-    pub(super) fn range_m(
+    pub(super) fn hit(
         &self,
         movers: &[Mover<'_>],
         t_s: f64,
         origin: DVec3,
         direction: DVec3,
-    ) -> Option<f64> {
+    ) -> Option<TownHit> {
         let near = self.in_reach(movers, t_s, origin, direction);
-        self.meet(&near, origin, direction).map(|(hit, _)| hit.t).filter(|range_m| *range_m >= RANGE_M[0])
+        let (hit, facing) = self.meet(&near, origin, direction)?;
+        let hit = TownHit { range_m: hit.t, facing: facing.abs(), is_glass: echo::is_glass(&hit) };
+        (hit.range_m >= RANGE_M[0]).then_some(hit)
     }
 
     fn column<F: Fn(f64) -> Pose>(

@@ -29,7 +29,8 @@ pub struct SweepRow {
     pub recall: Option<f64>,
     /// Harmonic mean of both.
     pub f_score: Option<f64>,
-    /// Share of the returns over 10 cm behind the plane of the true surface; `None` if it is unknown.
+    /// Share of the returns over 10 cm behind the plane of the true surface, of those whose surface is known
+    /// and opaque; `None` if none is.
     pub behind: Option<f64>,
 }
 
@@ -42,7 +43,8 @@ pub(super) struct Ray {
     pub(super) direction: DVec3,
     pub(super) found_m: Option<f64>,
     pub(super) true_m: Option<f64>,
-    /// Cosine of the angle between the ray and the normal of the true surface; `None` if it is unknown.
+    /// Cosine of the angle between the ray and the normal of the true surface; `None` if it is unknown, or if
+    /// the surface is glass.
     pub(super) facing: Option<f64>,
 }
 
