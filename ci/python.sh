@@ -18,8 +18,8 @@ fi
 export PSKEL_VALIDATION=1
 # Hundreds of processes import PyTorch: modules are compiled once, here, whatever the caller's environment says.
 export PYTHONDONTWRITEBYTECODE= PYTHONPYCACHEPREFIX="$folder/bytecode"
-# Two processes, each with the tests of a file after another: many tests wait for processes of their own.
+# Two processes, each with the tests of a file after another, the longest first: many tests wait for processes of their own.
 export OMP_NUM_THREADS=1
 # Not in the folder of the sources, which would hide the installed package.
 cd "$scratch"
-"$folder/env/bin/python" -m pytest -p no:cacheprovider -q -rs -n 2 --dist loadfile --durations=20 "$OLDPWD/python/tests" "$@"
+"$folder/env/bin/python" -m pytest -p no:cacheprovider -q -rs -n 2 --dist loadfile --no-loadscope-reorder --durations=20 "$OLDPWD/python/tests" "$@"

@@ -10,8 +10,16 @@ import pytest
 
 pytest.register_assert_rewrite("mcap_files", "parity", "pas_base", "pas_frames", "image_base", "image_frames", "image_rollout")
 
+# Files with the longest tests: processes that share the files end together if these begin first.
+LONGEST = ["protocol", "image_drive", "pas_train_drive", "docs", "metrics", "train_render", "image_cost", "types"]
+
 TOWN = "town:seed=7,frames=4,size=113x200"
 DRIVE = "town:seed=7,frames=12,size=113x200"
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    places = {f"test_{name}.py": place for place, name in enumerate(LONGEST)}
+    items.sort(key=lambda item: places.get(item.path.name, len(places)))
 
 
 @pytest.fixture(scope="session")
