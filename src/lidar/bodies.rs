@@ -3,9 +3,9 @@
 use glam::{DAffine3, DVec3};
 use obvhs::aabb::Aabb;
 
-use super::cast::LidarRays;
 use super::fan::Fan;
 use super::motion::ActorPath;
+use super::rays::LidarRays;
 use super::solid::Solid;
 use super::solids::Solids;
 use super::tree::Tree;

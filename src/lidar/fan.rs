@@ -15,9 +15,9 @@ const PARTS: usize = 256;
 /// Least range of slopes that is divided.
 const LEAST_SPAN: f32 = 1e-6;
 
-/// Directions of rays from a point, all near a half-plane, in the order of their slopes: components across the
-/// middle of the fan per component along it. The frame is that of the boxes, which may be scaled: directions
-/// need not be unit vectors.
+/// Directions of rays from a point, all near a half-plane, in the order of their slopes: components across
+/// the middle of the fan per component along it. The frame is that of the boxes, which may be scaled:
+/// directions need not be unit vectors.
 #[derive(Clone, Debug)]
 pub(super) struct Fan {
     /// Components of the directions, with lanes behind the last one.
@@ -190,8 +190,8 @@ fn columns(directions: impl ExactSizeIterator<Item = Vec3A>) -> ([Vec<f32>; 3], 
     ([x, y, z], lengths)
 }
 
-/// Returns the number of the first ray of each part of the slopes or of a later one, and behind the last part,
-/// the number of rays.
+/// Returns the number of the first ray of each part of the slopes or of a later one, and behind the last
+/// part, the number of rays.
 fn firsts(parts: impl ExactSizeIterator<Item = f32>) -> [u32; PARTS + 1] {
     let (mut first, mut next) = ([parts.len() as u32; PARTS + 1], 0);
     for (ray, part) in (0..).zip(parts) {
@@ -216,8 +216,8 @@ mod tests {
         (first <= last).then_some(first * direction.length())
     }
 
-    /// Every ray that meets a box is found, not nearer than it may: of one and of many rays, in a half-plane and
-    /// beside it, forward and on both sides, in frames that are turned, scaled, and squeezed.
+    /// Every ray that meets a box is found, not nearer than it may: of one and of many rays, in a half-plane
+    /// and beside it, forward and on both sides, in frames that are turned, scaled, and squeezed.
     #[test]
     fn no_ray_that_meets_a_box_is_left_out() {
         let (mut met, mut found) = (0, 0);

@@ -24,8 +24,8 @@ pub(super) struct Patch {
 /// Shape of a piece, meters in the frame of its cloud.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Shape {
-    /// Part of the plane `normal · x = offset` in a box, where a mask over the two axes of the box other than
-    /// `along` is set.
+    /// Part of the plane `normal · x = offset` in a box, where a mask over its two axes other than `along` is
+    /// set.
     Plane { normal: Vec3, offset: f32, min: Vec3, max: Vec3, along: u8, mask: Mask },
     /// Points of no plane: met in the middle of their box.
     Box { min: Vec3, max: Vec3 },

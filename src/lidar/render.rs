@@ -4,9 +4,10 @@ use glam::DVec3;
 use rayon::prelude::*;
 
 use super::bodies::{Bodies, Body};
-use super::cast::{LidarHit, LidarRays, cast};
+use super::cast::cast;
 use super::error::LidarError;
 use super::motion::Motion;
+use super::rays::{LidarHit, LidarRays};
 use super::solids::Solids;
 use super::spec::{LidarDevice, LidarSpec};
 use super::sweep::{LidarSweep, RangeImage};

@@ -6,8 +6,8 @@ use glam::DVec3;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use super::cast::LidarRays;
 use super::motion::Motion;
+use super::rays::LidarRays;
 use crate::error::FileError;
 use crate::files::json;
 use crate::geometry::Pose;

@@ -23,8 +23,8 @@ const SMALL_M: f32 = 0.2;
 const THICK_M: f32 = 0.025;
 /// Least standard deviation along both axes of a plane, in standard deviations from it.
 const WIDE: f32 = 1.5;
-/// Least standard deviation from a plane that counts there, meters. A row of points from one beam is as wide as
-/// the noise of its ranges, and no other beam meets the plane of that one.
+/// Least standard deviation from a plane that counts there, meters. A row of points from one beam is as wide
+/// as the noise of its ranges, and no other beam meets the plane of that one.
 const NOISE_M: f32 = 0.02;
 /// What a piece reaches beyond its points: part of a cell of its mask, and least, meters.
 const EDGE: f32 = 0.5;

@@ -24,6 +24,7 @@ pub mod plan;
 mod templates;
 pub mod view;
 
-pub use drive::{FORMAT, Town, TownError, TownHit, TownRay, WriteError};
+pub use drive::{FORMAT, Town, TownError, TownRay, WriteError};
+pub use lidar::TownHit;
 pub use options::{Daylight, TownOptions, TownOptionsError};
 pub use templates::templates;

@@ -19,7 +19,7 @@ mod write;
 
 pub use error::TownError;
 pub use format::FORMAT;
-pub use town::{Town, TownHit, TownRay};
+pub use town::{Town, TownRay};
 pub use write::WriteError;
 
 use image::RgbImage;

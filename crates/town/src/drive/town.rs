@@ -15,7 +15,7 @@ use super::record::{self, Recorded, Recorder, seconds};
 use super::renderer::TownRenderer;
 use super::{map, rig};
 use crate::TownOptions;
-use crate::lidar::{Lidar, Mover, Scanner, Turn};
+use crate::lidar::{Lidar, Mover, Scanner, TownHit, Turn};
 use crate::plan::{Actor, Plan};
 
 /// Recording of a drive through a town.
@@ -40,17 +40,6 @@ pub struct TownRay {
     pub origin: DVec3,
     /// Unit vector.
     pub direction: DVec3,
-}
-
-/// Where a ray meets a town.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct TownHit {
-    /// Meters along the ray: no noise.
-    pub range_m: f64,
-    /// Cosine of the angle between the ray and the surface's normal, 0 to 1.
-    pub facing: f64,
-    /// Whether the surface is glass, of which most beams of a sweep have no return.
-    pub is_glass: bool,
 }
 
 /// Name of the location, for maps.

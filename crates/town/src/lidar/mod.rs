@@ -20,7 +20,6 @@ use rayon::prelude::*;
 
 use self::echo::{Noise, echo};
 use self::solid::{Hit, Solid};
-use super::drive::TownHit;
 use super::mesh::Mesh;
 use super::model::Body;
 use super::plan::Motion;
@@ -51,6 +50,17 @@ pub(super) struct Mover<'a> {
 pub(super) struct Scanner {
     static_meshes: Solid,
     bodies: BTreeMap<(Body, usize), Solid>,
+}
+
+/// Where a ray meets a town.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct TownHit {
+    /// Meters along the ray: no noise.
+    pub range_m: f64,
+    /// Cosine of the angle between the ray and the surface's normal, 0 to 1.
+    pub facing: f64,
+    /// Whether the surface is glass, of which most beams of a sweep have no return.
+    pub is_glass: bool,
 }
 
 /// One rotation.
@@ -105,8 +115,8 @@ impl Scanner {
         columns.flat_map_iter(|column| self.column(turn, column, &lidar_from_town)).collect()
     }
 
-    /// Returns where a ray in the town's frame meets a surface at a time in seconds; `None` without one within
-    /// [`RANGE_M`].
+    /// Returns where a ray in the town's frame meets a surface at a time in seconds; `None` without one
+    /// within [`RANGE_M`].
     pub(super) fn hit(
         &self,
         movers: &[Mover<'_>],
