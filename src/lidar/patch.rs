@@ -150,6 +150,25 @@ mod tests {
         assert_eq!(tilted, 5.0);
     }
 
+    /// The plane z = 1 over x, y from 0 to 8; the mask has the cell of x from 6 to 7 and y from 4 to 5.
+    #[test]
+    fn rays_along_a_plane_meet_its_first_cell() {
+        let mut mask = Mask::default();
+        mask.set([6.5 / 8.0, 4.5 / 8.0]);
+        let (min, max) = (Vec3::new(0.0, 0.0, 0.99), Vec3::new(8.0, 8.0, 1.01));
+        let shape = Shape::Plane { normal: Vec3::Z, offset: 1.0, min, max, along: 2, mask };
+        let patch = Patch { shape, class: 3, points: 1 };
+        let along = |y: f32, z: f32| meet(&patch, [-10.0, y, z], [1.0, 0.0, 0.0]);
+        let found = along(4.5, 1.001);
+        assert!((16.0..17.0).contains(&found), "{found}");
+        assert_eq!(
+            (along(4.5, 1.0), along(5.5, 1.001), along(4.5, 1.011)),
+            (found, f32::INFINITY, f32::INFINITY)
+        );
+        assert_eq!(meet(&patch, [10.0, 4.5, 1.001], [1.0, 0.0, 0.0]), f32::INFINITY);
+        assert_eq!(meet(&patch, [6.5, 4.5, 2.0], [0.0, 0.0, -1.0]), 1.0);
+    }
+
     #[test]
     fn boxes_are_met_in_their_middle() {
         let (min, max) = (Vec3::new(3.9, -0.1, -0.1), Vec3::new(4.1, 0.1, 0.1));

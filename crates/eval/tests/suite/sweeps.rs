@@ -23,8 +23,8 @@ fn rows(
     rows
 }
 
-/// The second row is moved by 2 m and 5 degrees. Rays through windows, and cars that moved while they were
-/// recorded, are behind the true surface.
+/// The second row is moved by 2 m and 5 degrees. Rays between the lines of few beams, and cars that moved while
+/// they were recorded, are behind the true surface.
 #[test]
 fn sweeps_agree_with_beams_through_the_town() {
     let town = other_town("seed=11,frames=20,size=90x160");
@@ -38,7 +38,7 @@ fn sweeps_agree_with_beams_through_the_town() {
     let rows = rows(FidelitySource::Town(&town), &skeleton, &frames, &spec);
     for row in &rows {
         assert!(row.median_m.unwrap() <= 0.03 && row.f_score.unwrap() >= 0.9, "{row:?}");
-        assert!(row.sweeps == 3 && row.behind.unwrap() <= 0.03, "{row:?}");
+        assert!(row.sweeps == 3 && row.behind.unwrap() <= 0.02, "{row:?}");
     }
 }
 
