@@ -17,7 +17,7 @@ use crate::cloud::Point;
 /// Longest side of a piece, meters.
 const LONGEST_M: f32 = 1.0;
 /// Longest side of a small box, meters.
-const SMALL_M: f32 = 0.2;
+const SMALL_M: f32 = 0.16;
 /// Greatest standard deviation of points from their plane, meters: more than the noise of a sensor, and less
 /// than the distance of surfaces that should be told apart.
 const THICK_M: f32 = 0.025;

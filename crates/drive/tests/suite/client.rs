@@ -187,13 +187,15 @@ impl Client {
 
     /// Returns the next frame, and acknowledges it.
     pub(crate) fn frame(&mut self) -> Frame {
-        loop {
+        let start = Instant::now();
+        while start.elapsed() < PATIENCE {
             match self.socket.read().unwrap() {
                 Message::Binary(bytes) => return self.unpack(&bytes),
                 Message::Text(text) => self.texts.push(serde_json::from_str(&text).unwrap()),
                 _ => {}
             }
         }
+        panic!("no frame; notices: {:?}", self.texts);
     }
 
     /// Returns the first frame that has a property.

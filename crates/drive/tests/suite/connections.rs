@@ -41,7 +41,8 @@ fn wrong_messages_are_answered_and_too_many_end_the_connection() {
         client.socket.send(Message::text(text)).unwrap();
         assert!(client.text("notice")["text"].as_str().unwrap().contains("expected a message of the page"));
     }
-    client.frame(); // still served
+    client.send(&json!({"type": "look", "frame": 2})); // still served
+    client.frame_with(|header| header["t_s"] == 0.4);
     for _ in 0..10 {
         let _ = client.socket.send(Message::text("x"));
     }
