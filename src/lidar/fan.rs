@@ -36,7 +36,7 @@ pub(super) struct Fan {
     least: f32,
     /// Parts per slope.
     scale: f32,
-    /// Number of the first ray of each part or of a later one; behind the last part, the number of rays.
+    /// First ray in each part, or after it; behind the last part, how many rays there are.
     first: [u32; PARTS + 1],
     /// Greatest distance of a ray from the half-plane, as part of its length along the middle; of its whole
     /// length without slopes.
@@ -190,8 +190,7 @@ fn columns(directions: impl ExactSizeIterator<Item = Vec3A>) -> ([Vec<f32>; 3], 
     ([x, y, z], lengths)
 }
 
-/// Returns the number of the first ray of each part of the slopes or of a later one, and behind the last
-/// part, the number of rays.
+/// Returns the first ray in each part of the slopes, or after it; behind the last part, how many there are.
 fn firsts(parts: impl ExactSizeIterator<Item = f32>) -> [u32; PARTS + 1] {
     let (mut first, mut next) = ([parts.len() as u32; PARTS + 1], 0);
     for (ray, part) in (0..).zip(parts) {

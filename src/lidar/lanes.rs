@@ -74,7 +74,7 @@ impl<const N: usize> Lanes<N> {
         result
     }
 
-    /// Returns the lanes of one where these are negative, and else those of another one.
+    /// Returns one's lanes where these are negative, and another's elsewhere.
     #[inline(always)]
     pub(super) fn negative(self, negative: Self, other: Self) -> Self {
         let mut result = other;

@@ -6,8 +6,8 @@ use obvhs::aabb::Aabb;
 use super::lanes::{Lanes, and, dot, squared};
 use super::mask::{Mask, SIDE};
 
-/// Sine of the angle between a plane and rays that are along it: they meet it within its box. A row of points
-/// from one beam is on the plane of that beam, and so are the rays that should meet it.
+/// Sine of the angle between a plane and rays that are along it: they meet it within its box. The points of a
+/// row from one beam are on that beam's plane, and so are the rays that should meet them.
 const EDGE_ON: f32 = 0.005;
 
 /// A piece of a surface.
@@ -65,19 +65,14 @@ impl Patch {
                     }
                 }
                 let edge_on = (slopes * slopes).at_most(squared(directions) * (EDGE_ON * EDGE_ON));
-                if edge_on != [false; N] {
-                    let (first, last) = within(min, max, origin, directions);
-                    for (i, is_edge_on) in edge_on.into_iter().enumerate() {
-                        if is_edge_on && first.0[i] <= last.0[i] && first.0[i] > 0.0 {
-                            let direction = Vec3::new(x.0[i], y.0[i], z.0[i]);
-                            let step = (last.0[i] - first.0[i]) / (2 * SIDE) as f32;
-                            let steps = (0..2 * SIDE).map(|part| first.0[i] + (part as f32 + 0.5) * step);
-                            let has = |t: &f32| {
-                                mask.has(cell(Vec3::from(origin) + direction * *t, min, max, along))
-                            };
-                            met.0[i] = steps.into_iter().find(has).unwrap_or(f32::INFINITY).min(met.0[i]);
-                        }
-                    }
+                if edge_on == [false; N] {
+                    return met;
+                }
+                let (first, last) = within(min, max, origin, directions);
+                for i in (0..N).filter(|i| edge_on[*i]) {
+                    let direction = Vec3::new(x.0[i], y.0[i], z.0[i]);
+                    let is_set = |t: f32| mask.has(cell(Vec3::from(origin) + direction * t, min, max, along));
+                    met.0[i] = met.0[i].min(first_set([first.0[i], last.0[i]], is_set));
                 }
                 met
             }
@@ -116,6 +111,18 @@ fn within<const N: usize>(
     (x.0.max(y.0).max(z.0), x.1.min(y.1).min(z.1))
 }
 
+/// Returns the first distance between two at which a mask is set, by steps of half a cell; infinite if it is
+/// not, or if the first one is behind the second one or not ahead.
+#[inline(always)]
+fn first_set([first, last]: [f32; 2], is_set: impl Fn(f32) -> bool) -> f32 {
+    if first > last || first <= 0.0 {
+        return f32::INFINITY;
+    }
+    let step = (last - first) / (2 * SIDE) as f32;
+    let mut steps = (0..2 * SIDE).map(|part| first + (part as f32 + 0.5) * step);
+    steps.find(|t| is_set(*t)).unwrap_or(f32::INFINITY)
+}
+
 /// Returns the coordinates of a place over the mask of a box.
 #[inline(always)]
 fn cell(at: Vec3, min: Vec3, max: Vec3, along: u8) -> [f32; 2] {
@@ -131,14 +138,21 @@ mod tests {
         patch.meet(origin.into(), direction.map(|d| Lanes([d]))).0[0]
     }
 
-    /// The plane x = 5 over y, z from 0 to 8; the mask has the cell of y from 2 to 3 and z from 4 to 5.
+    /// Returns a plane across an axis from 0 to 8 along the others, whose mask has the cell at a place.
+    fn plane(along: u8, offset: f32, place: [f32; 2]) -> Patch {
+        let mut mask = Mask::default();
+        mask.set(place.map(|at| at / 8.0));
+        let (normal, mut ends) = (Vec3::AXES[usize::from(along)], [Vec3::ZERO, Vec3::splat(8.0)]);
+        ends[0][usize::from(along)] = offset - 0.1;
+        ends[1][usize::from(along)] = offset + 0.1;
+        let [min, max] = ends;
+        Patch { shape: Shape::Plane { normal, offset, min, max, along, mask }, class: 3, points: 1 }
+    }
+
+    /// The plane x = 5; the mask has the cell of y from 2 to 3 and z from 4 to 5.
     #[test]
     fn planes_are_met_where_the_mask_is_set() {
-        let mut mask = Mask::default();
-        mask.set([2.5 / 8.0, 4.5 / 8.0]);
-        let (min, max) = (Vec3::new(4.9, 0.0, 0.0), Vec3::new(5.1, 8.0, 8.0));
-        let shape = Shape::Plane { normal: Vec3::X, offset: 5.0, min, max, along: 0, mask };
-        let patch = Patch { shape, class: 3, points: 1 };
+        let patch = plane(0, 5.0, [2.5, 4.5]);
         let at = |y: f32, z: f32| meet(&patch, [0.0, y, z], [2.0, 0.0, 0.0]);
         assert_eq!(
             (at(2.5, 4.5), at(3.5, 4.5), at(2.5, 3.5), at(-5.5, 4.5)),
@@ -150,19 +164,15 @@ mod tests {
         assert_eq!(tilted, 5.0);
     }
 
-    /// The plane z = 1 over x, y from 0 to 8; the mask has the cell of x from 6 to 7 and y from 4 to 5.
+    /// The plane z = 1; the mask has the cell of x from 6 to 7 and y from 4 to 5.
     #[test]
     fn rays_along_a_plane_meet_its_first_cell() {
-        let mut mask = Mask::default();
-        mask.set([6.5 / 8.0, 4.5 / 8.0]);
-        let (min, max) = (Vec3::new(0.0, 0.0, 0.99), Vec3::new(8.0, 8.0, 1.01));
-        let shape = Shape::Plane { normal: Vec3::Z, offset: 1.0, min, max, along: 2, mask };
-        let patch = Patch { shape, class: 3, points: 1 };
+        let patch = plane(2, 1.0, [6.5, 4.5]);
         let along = |y: f32, z: f32| meet(&patch, [-10.0, y, z], [1.0, 0.0, 0.0]);
         let found = along(4.5, 1.001);
         assert!((16.0..17.0).contains(&found), "{found}");
         assert_eq!(
-            (along(4.5, 1.0), along(5.5, 1.001), along(4.5, 1.011)),
+            (along(4.5, 1.0), along(5.5, 1.001), along(4.5, 1.11)),
             (found, f32::INFINITY, f32::INFINITY)
         );
         assert_eq!(meet(&patch, [10.0, 4.5, 1.001], [1.0, 0.0, 0.0]), f32::INFINITY);

@@ -26,7 +26,7 @@ pub(super) struct Hit {
 pub(super) struct Search {
     /// Greatest distance; negative if the ray is not searched.
     far: Vec<f32>,
-    /// Greatest distance of a layer of the first surface; negative if the ray is not searched.
+    /// How far layers behind the first surface may be; negative if the ray is not searched.
     last: Vec<f32>,
     /// The nearest surface, and its class.
     first: Vec<(f32, u8)>,
@@ -65,7 +65,7 @@ impl Search {
         last.iter().zip(lengths).any(|(last, length)| last * length >= near_m)
     }
 
-    /// Lets rays of a fan from a point meet a patch.
+    /// Lets a fan's rays from a point meet a patch.
     #[inline(always)]
     pub(super) fn meet(&mut self, patch: &Patch, origin: Vec3A, fan: &Fan, [start, end]: [usize; 2]) {
         for start in (start..end).step_by(LANES) {

@@ -27,7 +27,7 @@ impl Solid {
         Self { patches: order.into_iter().map(|number| patches[number as usize]).collect(), tree }
     }
 
-    /// Lets the rays of a fan from a point meet the surfaces.
+    /// Lets a fan's rays from a point meet the surfaces.
     pub(super) fn meet(&self, origin: Vec3A, fan: &Fan, search: &mut Search) {
         wide(
             #[inline(always)]

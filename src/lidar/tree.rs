@@ -39,7 +39,7 @@ impl Branch {
     }
 }
 
-/// A branch that some rays of a fan may meet.
+/// A branch that rays in a fan may meet.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Visit {
     /// Least distance at which they can meet it, in the boxes' frame.
@@ -62,7 +62,7 @@ impl Tree {
         (tree, order)
     }
 
-    /// Returns the branches of the root that some rays of a fan may meet, the nearest last.
+    /// Returns the root's branches that rays in a fan may meet, the nearest last.
     #[inline(always)]
     pub(super) fn start(&self, origin: Vec3A, fan: &Fan) -> Vec<Visit> {
         let mut left = Vec::with_capacity(8 * LANES);
@@ -72,7 +72,7 @@ impl Tree {
         left
     }
 
-    /// Adds the branches of a node that some rays of a fan may meet, the nearest last.
+    /// Adds a node's branches that rays in a fan may meet, the nearest last.
     #[inline(always)]
     pub(super) fn branch(&self, node: Branch, origin: Vec3A, fan: &Fan, left: &mut Vec<Visit>) {
         let node = &self.nodes[node.0 as usize];
@@ -101,7 +101,7 @@ impl Tree {
         size_of_val(self.nodes.as_slice())
     }
 
-    /// Adds a node of branches of a binary tree, and all below it. Returns its number.
+    /// Adds a node with branches from a binary tree, and all below it. Returns its number.
     fn add(&mut self, binary: &Bvh2, mut branches: Vec<Bvh2Node>, order: &mut Vec<u32>) -> u32 {
         let area = |node: &Bvh2Node| node.aabb().half_area();
         while branches.len() < LANES {

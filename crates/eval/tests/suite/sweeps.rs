@@ -23,8 +23,8 @@ fn rows(
     rows
 }
 
-/// The second row is moved by 2 m and 5 degrees. Rays between the lines of few beams, and cars that moved while
-/// they were recorded, are behind the true surface.
+/// The second row is moved by 2 m and 5 degrees. Rays between few beams' lines are behind the true surface,
+/// and so are cars that moved while they were recorded.
 #[test]
 fn sweeps_agree_with_beams_through_the_town() {
     let town = other_town("seed=11,frames=20,size=90x160");

@@ -29,8 +29,8 @@ pub struct SweepRow {
     pub recall: Option<f64>,
     /// Harmonic mean of both.
     pub f_score: Option<f64>,
-    /// Share of the returns over 10 cm behind the plane of the true surface, of those whose surface is known
-    /// and opaque; `None` if none is.
+    /// Share of the returns over 10 cm behind the true surface's plane, where that is known and opaque;
+    /// `None` if it is nowhere.
     pub behind: Option<f64>,
 }
 
