@@ -19,10 +19,10 @@ pub(super) fn cast(
     let candidates = bodies.candidates(rays, &fan, solids);
     let mut far: Vec<f32> = vec![far_m as f32; rays.directions.len()];
     let mut found = vec![None; far.len()];
-    let mut search = Search::default();
+    let (mut search, mut searched) = (Search::default(), Vec::with_capacity(far.len()));
     for candidate in &candidates {
-        let searched: Vec<f32> =
-            far.iter().map(|far| if candidate.near_m > *far { -1.0 } else { *far }).collect();
+        searched.clear();
+        searched.extend(far.iter().map(|far| if candidate.near_m > *far { -1.0 } else { *far }));
         if searched.iter().all(|far| *far < 0.0) {
             break;
         }

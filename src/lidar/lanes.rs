@@ -84,6 +84,16 @@ impl<const N: usize> Lanes<N> {
         result
     }
 
+    /// Returns the lanes that are set, and infinity elsewhere.
+    #[inline(always)]
+    pub(super) fn only(self, is_set: [bool; N]) -> Self {
+        let mut result = self;
+        for (value, is_set) in result.0.iter_mut().zip(is_set) {
+            *value = if is_set { *value } else { f32::INFINITY };
+        }
+        result
+    }
+
     #[inline(always)]
     pub(super) fn at_most(self, other: Self) -> [bool; N] {
         let mut result = [false; N];

@@ -5,10 +5,11 @@
 //! as large as the points are on a plane, and as fine as they are dense. A piece has a mask of where its
 //! points are, whose gaps are closed (`mask`). The pieces of a cloud are in a tree (`solid`, `tree`), and so
 //! are the clouds of a scene (`bodies`). A [`LidarSpec`] describes the devices: a preset, or a JSON file. The
-//! rays of a column fire at once, from where the device is at that time, at the actors where they are then
-//! (`motion`, `cast`). They are near a half-plane, and descend a tree together (`fan`, `search`): eight boxes
-//! are compared with all rays at a time, and eight rays with a piece (`lanes`). All of this is on the host,
-//! so sweeps are the same bytes with any rasterizer and any number of threads.
+//! rays of a few columns fire at once, from where the device is at that time, at the actors where they are
+//! then (`motion`, `cast`). They are near a half-plane, and descend a tree together (`fan`, `search`): eight
+//! boxes are compared with all rays at a time, and eight rays with a piece (`lanes`). Gaps that are narrower
+//! than two rays are closed in the range image (`image`, `gaps`). All of this is on the host, so sweeps are
+//! the same bytes with any rasterizer and any number of threads.
 //!
 //! # What was rejected
 //! Images of point numbers by the rasterizers, and planes through the visible points around each ray: rays
@@ -19,6 +20,8 @@ mod bodies;
 mod cast;
 mod error;
 mod fan;
+mod gaps;
+mod image;
 mod lanes;
 mod mask;
 mod motion;

@@ -27,8 +27,8 @@ pub(super) enum Shape {
     /// Part of the plane `normal · x = offset` in a box, where a mask over its two axes other than `along` is
     /// set.
     Plane { normal: Vec3, offset: f32, min: Vec3, max: Vec3, along: u8, mask: Mask },
-    /// Points of no plane: met in the middle of their box.
-    Box { min: Vec3, max: Vec3 },
+    /// Points of no plane, in a box: met next to their mean.
+    Box { min: Vec3, max: Vec3, mean: Vec3 },
 }
 
 /// Returns the two axes other than one.
@@ -39,7 +39,7 @@ pub(super) fn across(along: u8) -> [usize; 2] {
 impl Patch {
     /// Returns the bounds of the patch.
     pub(super) fn bounds(&self) -> Aabb {
-        let (Shape::Plane { min, max, .. } | Shape::Box { min, max }) = self.shape;
+        let (Shape::Plane { min, max, .. } | Shape::Box { min, max, .. }) = self.shape;
         Aabb::new(Vec3A::from(min), Vec3A::from(max))
     }
 
@@ -58,10 +58,12 @@ impl Patch {
                 };
                 let is_inside = and(and(is_between(0), is_between(1)), is_between(2));
                 let mut met = Lanes::all(f32::INFINITY);
-                for (i, is_inside) in is_inside.into_iter().enumerate() {
-                    let at = Vec3::new(at[0].0[i], at[1].0[i], at[2].0[i]);
-                    if is_inside && t.0[i] > 0.0 && mask.has(cell(at, min, max, along)) {
-                        met.0[i] = t.0[i];
+                if is_inside != [false; N] {
+                    let [a, b] = across(along).map(|axis| (at[axis] - min[axis]) / (max[axis] - min[axis]));
+                    for i in (0..N).filter(|i| is_inside[*i]) {
+                        if t.0[i] > 0.0 && mask.has([a.0[i], b.0[i]]) {
+                            met.0[i] = t.0[i];
+                        }
                     }
                 }
                 let edge_on = (slopes * slopes).at_most(squared(directions) * (EDGE_ON * EDGE_ON));
@@ -76,18 +78,12 @@ impl Patch {
                 }
                 met
             }
-            Shape::Box { min, max } => {
-                let middle = (min + max) / 2.0 - Vec3::from(origin);
-                let middle = dot(middle.to_array(), directions) / squared(directions);
+            Shape::Box { min, max, mean } => {
+                let mean = mean - Vec3::from(origin);
+                let nearest = dot(mean.to_array(), directions) / squared(directions);
                 let (first, last) = within(min, max, origin, directions);
-                let mut met = Lanes::all(f32::INFINITY);
-                for i in 0..N {
-                    let (first, last) = (first.0[i], last.0[i]);
-                    if first <= last && first > 0.0 {
-                        met.0[i] = middle.0[i].clamp(first, last);
-                    }
-                }
-                met
+                let is_ahead = Lanes::all(f32::MIN_POSITIVE).at_most(first);
+                nearest.max(first).min(last).only(and(is_ahead, first.at_most(last)))
             }
         }
     }
@@ -180,11 +176,12 @@ mod tests {
     }
 
     #[test]
-    fn boxes_are_met_in_their_middle() {
+    fn boxes_are_met_next_to_the_mean_of_their_points() {
         let (min, max) = (Vec3::new(3.9, -0.1, -0.1), Vec3::new(4.1, 0.1, 0.1));
-        let patch = Patch { shape: Shape::Box { min, max }, class: 0, points: 1 };
+        let mean = Vec3::new(4.0625, 0.05, 0.0);
+        let patch = Patch { shape: Shape::Box { min, max, mean }, class: 0, points: 1 };
         let at = |y: f32| meet(&patch, [0.0, y, 0.0], [2.0, 0.0, 0.0]);
-        assert_eq!((at(0.09), at(0.11), at(-0.11)), (2.0, f32::INFINITY, f32::INFINITY));
+        assert_eq!((at(0.09), at(0.11), at(-0.11)), (2.03125, f32::INFINITY, f32::INFINITY));
         assert_eq!(meet(&patch, [8.0, 0.0, 0.0], [1.0, 0.0, 0.0]), f32::INFINITY);
         let bounds = patch.bounds();
         assert_eq!((Vec3::from(bounds.min), Vec3::from(bounds.max)), (min, max));

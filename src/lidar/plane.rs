@@ -19,9 +19,8 @@ pub(super) struct Plane {
 
 impl Plane {
     /// Returns the plane through points; `None` without points.
-    pub(super) fn through(points: &[Vec3]) -> Option<Self> {
-        let first = points.first()?.as_dvec3();
-        let count = points.len() as f64;
+    pub(super) fn through(points: impl ExactSizeIterator<Item = Vec3> + Clone) -> Option<Self> {
+        let (count, first) = (points.len() as f64, points.clone().next()?.as_dvec3());
         let (mut sum, mut squares) = (DVec3::ZERO, [[0.0; 3]; 3]);
         for point in points {
             let p = point.as_dvec3() - first;
@@ -88,7 +87,7 @@ mod tests {
             .flat_map(|[x, y]| [-0.01, 0.01].map(|z| DVec3::new(x - 0.5, y * 0.5 - 0.25, z)))
             .map(|at| (center + rotation * at).as_vec3())
             .collect();
-        let plane = Plane::through(&points).unwrap();
+        let plane = Plane::through(points.into_iter()).unwrap();
         assert!(plane.normal.dot((rotation * DVec3::Z).as_vec3()).abs() > 0.999_999);
         assert!(plane.mean.distance(center.as_vec3()) < 1e-5);
         // A uniform grid of 21 points has a variance of (21² − 1) / 12 steps.
@@ -97,12 +96,12 @@ mod tests {
             (plane.thickness_m - 0.01).abs() < 1e-5 && (plane.width_m - expected).abs() < 1e-4,
             "{plane:?}"
         );
-        assert_eq!(Plane::through(&[]), None);
+        assert_eq!(Plane::through([].into_iter()), None);
     }
 
     #[test]
     fn equal_points_have_no_extent() {
-        let plane = Plane::through(&[Vec3::new(1.0, 2.0, 3.0); 4]).unwrap();
+        let plane = Plane::through([Vec3::new(1.0, 2.0, 3.0); 4].into_iter()).unwrap();
         assert_eq!((plane.thickness_m, plane.width_m, plane.mean), (0.0, 0.0, Vec3::new(1.0, 2.0, 3.0)));
         assert!((plane.normal.length() - 1.0).abs() < 1e-6);
     }

@@ -1,17 +1,16 @@
-//! Rendering of a sweep: columns of rays against the solids of a scene.
+//! Rendering of a sweep: rays against the solids of a scene.
 
-use glam::DVec3;
 use rayon::prelude::*;
 
 use super::bodies::{Bodies, Body};
 use super::cast::cast;
 use super::error::LidarError;
+use super::image::Found;
 use super::motion::Motion;
 use super::rays::{LidarHit, LidarRays};
 use super::solids::Solids;
-use super::spec::{LidarDevice, LidarSpec};
+use super::spec::LidarSpec;
 use super::sweep::{LidarSweep, RangeImage};
-use crate::geometry::Pose;
 use crate::hash::unit;
 use crate::raster::Instance;
 use crate::scene::{SceneClouds, SceneState, SelectionOptions};
@@ -85,7 +84,8 @@ pub(crate) fn render(
     for (number, device) in spec.devices.iter().enumerate() {
         let rays = device.sweep_rays(motion);
         let hits = scene.cast(&rays, motion, device.range_m[1])?;
-        let mut image = image(device, &rays, &hits, &state.global_from_ego.inverse());
+        let found = Found { device, rays: &rays, hits: &hits };
+        let mut image = found.image(&state.global_from_ego.inverse());
         image.first_ring = first_ring;
         first_ring += image.beams;
         lose(&mut image, device.dropout, spec.seed, [state.t_us, number as i64]);
@@ -94,44 +94,6 @@ pub(crate) fn render(
     let tracks = state.actors.iter().map(|actor| actor.track.clone()).collect();
     let SceneState { name, t_us, global_from_ego, .. } = state;
     Ok(LidarSweep { name: name.clone(), t_us: *t_us, global_from_ego: *global_from_ego, tracks, devices })
-}
-
-/// Returns the range image of hits; those below the device's least range are no returns.
-fn image(
-    device: &LidarDevice,
-    rays: &[LidarRays],
-    hits: &[Vec<Option<LidarHit>>],
-    ego_from_global: &Pose,
-) -> RangeImage {
-    let mut image = blank(device);
-    for (column, (rays, hits)) in rays.iter().zip(hits).enumerate() {
-        for (beam, (direction, hit)) in rays.directions.iter().zip(hits).enumerate() {
-            let Some(hit) = hit.filter(|hit| hit.range_m >= device.range_m[0]) else { continue };
-            let position: DVec3 = ego_from_global.transform_point(rays.origin + *direction * hit.range_m);
-            let at = beam * image.columns + column;
-            image.range_m[at] = hit.range_m as f32;
-            image.position[at] = position.as_vec3().to_array();
-            image.class[at] = hit.class;
-            image.instance[at] = hit.instance;
-        }
-    }
-    image
-}
-
-fn blank(device: &LidarDevice) -> RangeImage {
-    let (beams, columns) = (device.elevations_deg.len(), device.columns);
-    let rays = beams * columns;
-    RangeImage {
-        name: device.name.clone(),
-        beams,
-        columns,
-        first_ring: 0,
-        range_m: vec![0.0; rays],
-        position: vec![[0.0; 3]; rays],
-        class: vec![0; rays],
-        instance: vec![0; rays],
-        offset_s: (0..columns).map(|column| device.offset_s(column) as f32).collect(),
-    }
 }
 
 /// Removes a share of the returns, by a hash of the sweep and of each ray.

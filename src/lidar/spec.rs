@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use glam::DVec3;
+use glam::{DMat3, DVec3};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
@@ -22,6 +22,11 @@ const MAX_DEVICES: usize = 16;
 const RANGES_M: [f64; 2] = [0.1, 1000.0];
 /// Maximum duration of a sweep, seconds.
 const MAX_SWEEP_S: f64 = 10.0;
+/// Time in which columns count as firing at once, seconds: a device at 20 m/s moves by less than a millimeter
+/// from the middle of that time to one of its columns. Rays that fire at once are cast together, which is
+/// faster, up to a number of columns.
+const AT_ONCE_S: f64 = 120e-6;
+const MAX_AT_ONCE: usize = 4;
 
 /// A LiDAR: one device, or several whose returns are merged.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -165,24 +170,33 @@ impl LidarDevice {
     /// Returns the azimuth of a column's middle, radians to the left of forward.
     pub fn azimuth_rad(&self, column: usize) -> f64 {
         let [first, end] = self.azimuth_deg;
-        (first + (end - first) * self.share(column)).to_radians()
+        (first + (end - first) * (column as f64 + 0.5) / self.columns as f64).to_radians()
     }
 
-    /// Returns the time of a column's middle after the time stamp, seconds.
+    /// Returns how many columns fire at once.
+    pub fn columns_at_once(&self) -> usize {
+        let column_s = self.sweep_s / self.columns as f64;
+        ((AT_ONCE_S / column_s) as usize).clamp(1, MAX_AT_ONCE)
+    }
+
+    /// Returns when a column fires after the time stamp, seconds: in the middle of those that fire at once.
     pub fn offset_s(&self, column: usize) -> f64 {
-        self.sweep_s * (self.share(column) - self.stamp)
-    }
-
-    /// Returns the azimuth of a beam in a column, radians to the left of forward.
-    pub fn beam_azimuth_rad(&self, beam: usize, column: usize) -> f64 {
-        let offset_deg = self.azimuth_offsets_deg.get(beam).copied().unwrap_or(0.0);
-        self.azimuth_rad(column) + offset_deg.to_radians()
+        let at_once = self.columns_at_once();
+        let first = column - column % at_once;
+        let end = (first + at_once).min(self.columns);
+        self.sweep_s * ((first + end) as f64 / 2.0 / self.columns as f64 - self.stamp)
     }
 
     /// Returns the unit direction of a beam in a column, in the device's frame.
     pub fn direction(&self, beam: usize, column: usize) -> DVec3 {
+        DMat3::from_rotation_z(self.azimuth_rad(column)) * self.beam(beam)
+    }
+
+    /// Returns the unit direction of a beam in a column that is directed forward.
+    fn beam(&self, beam: usize) -> DVec3 {
         let (up, across) = self.elevations_deg[beam].to_radians().sin_cos();
-        let (left, forward) = self.beam_azimuth_rad(beam, column).sin_cos();
+        let offset_deg = self.azimuth_offsets_deg.get(beam).copied().unwrap_or(0.0);
+        let (left, forward) = offset_deg.to_radians().sin_cos();
         DVec3::new(across * forward, across * left, up)
     }
 
@@ -191,20 +205,18 @@ impl LidarDevice {
         motion.ego(self.offset_s(column)) * self.ego_from_lidar()
     }
 
-    /// Returns the rays of a sweep, column by column, while the ego moves.
+    /// Returns the rays of a sweep while the ego moves: of all columns that fire at once, column by column.
     pub fn sweep_rays(&self, motion: &Motion<'_>) -> Vec<LidarRays> {
-        let rays = |column| {
-            let after_s = self.offset_s(column);
-            let Pose { rotation, translation } = self.pose(motion, column);
-            let direction = |beam| rotation * self.direction(beam, column);
-            let directions = (0..self.elevations_deg.len()).map(direction).collect();
-            LidarRays { after_s, origin: translation, directions }
+        let beams: Vec<DVec3> = (0..self.elevations_deg.len()).map(|beam| self.beam(beam)).collect();
+        let at_once = self.columns_at_once();
+        let rays = |first: usize| {
+            let Pose { rotation, translation } = self.pose(motion, first);
+            let turn = |column| DMat3::from_quat(rotation) * DMat3::from_rotation_z(self.azimuth_rad(column));
+            let columns = first..(first + at_once).min(self.columns);
+            let directions = columns.map(turn).flat_map(|turn| beams.iter().map(move |beam| turn * *beam));
+            LidarRays { after_s: self.offset_s(first), origin: translation, directions: directions.collect() }
         };
-        (0..self.columns).into_par_iter().map(rays).collect()
-    }
-
-    fn share(&self, column: usize) -> f64 {
-        (column as f64 + 0.5) / self.columns as f64
+        (0..self.columns).into_par_iter().step_by(at_once).map(rays).collect()
     }
 
     fn fault(&self) -> Option<(String, String, String)> {
@@ -265,7 +277,8 @@ impl LidarDevice {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use std::f64::consts::{FRAC_PI_2, PI};
+    use crate::scene::SceneState;
+    use std::f64::consts::PI;
 
     fn device() -> LidarDevice {
         LidarDevice {
@@ -297,7 +310,38 @@ mod tests {
         let (root, half) = (0.5_f64.sqrt(), 3.0_f64.sqrt() / 2.0);
         assert!(device.direction(0, 1).distance(DVec3::new(half * root, half * root, -0.5)) < 1e-12);
         device.azimuth_offsets_deg = vec![0.0, 45.0];
-        assert!((device.beam_azimuth_rad(1, 1) - FRAC_PI_2).abs() < 1e-12);
+        assert!(device.direction(1, 1).distance(DVec3::Y) < 1e-12);
+    }
+
+    /// 5 columns of 50 µs: two fire at once, and the last one alone.
+    #[test]
+    fn short_columns_fire_at_once() {
+        let device = LidarDevice { columns: 5, sweep_s: 250e-6, ..device() };
+        let times = [0, 1, 2, 3, 4].map(|column| device.offset_s(column) * 1e6);
+        for (found, expected) in times.iter().zip([-200.0, -200.0, -100.0, -100.0, -25.0]) {
+            assert!((found - expected).abs() < 1e-9, "{times:?}");
+        }
+        let at_once = |columns: usize, sweep_s: f64| {
+            LidarDevice { columns, sweep_s, ..device.clone() }.columns_at_once()
+        };
+        assert_eq!(
+            [
+                at_once(1800, 0.1),
+                at_once(360, 0.1),
+                at_once(3600, 0.1),
+                at_once(100_000, 0.1),
+                at_once(9, 0.0)
+            ],
+            [2, 1, 4, 4, 4]
+        );
+        let (name, global_from_ego) = ("0".to_owned(), Pose::IDENTITY);
+        let state =
+            SceneState { name, t_us: 0, global_from_ego, cameras: Vec::new(), actors: Vec::new(), map: None };
+        let rays = device.sweep_rays(&Motion::new(&state, None));
+        let directions: Vec<DVec3> = rays.iter().flat_map(|rays| rays.directions.clone()).collect();
+        let expected: Vec<DVec3> = (0..10).map(|ray| device.direction(ray % 2, ray / 2)).collect();
+        assert!(directions.iter().zip(&expected).all(|(a, b)| a.distance(*b) < 1e-12), "{directions:?}");
+        assert_eq!(rays.iter().map(|rays| rays.directions.len()).collect::<Vec<_>>(), [4, 4, 2]);
     }
 
     #[test]

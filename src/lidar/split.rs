@@ -3,9 +3,10 @@
 //! # How it works
 //! Points are divided in halves along the longest side of their bounds, until they are on a plane, or in a
 //! small box. Points on a plane get a mask of where they are. Its gaps are closed; if few cells were gaps and
-//! most of them have several points, the halves have finer masks. So dense surfaces have exact outlines, and
-//! sparse ones, like the side of a car that few beams met from far away, have no holes. Points in a small box
-//! and on no plane, like leaves, are that box.
+//! most of them have several points, the halves have finer masks of the same plane: one through fewer points
+//! would be tilted by their noise. So dense surfaces have exact outlines, and sparse ones, like the side of a
+//! car that few beams met from far away, have no holes. Points in a small box and on no plane, like leaves,
+//! are that box.
 
 use glam::Vec3;
 
@@ -17,7 +18,7 @@ use crate::cloud::Point;
 /// Longest side of a piece, meters.
 const LONGEST_M: f32 = 1.0;
 /// Longest side of a small box, meters.
-const SMALL_M: f32 = 0.16;
+const SMALL_M: f32 = 0.13;
 /// Greatest standard deviation of points from their plane, meters: more than the noise of a sensor, and less
 /// than the distance of surfaces that should be told apart.
 const THICK_M: f32 = 0.025;
@@ -37,14 +38,14 @@ const FULL: f32 = 0.8;
 const DENSE: f32 = 0.75;
 const POINTS_PER_CELL: usize = 2;
 /// Least half side of a box, meters.
-const HALF_M: f32 = 0.03;
+const HALF_M: f32 = 0.02;
 
 /// Returns the pieces of surfaces of a cloud.
 pub(super) fn patches(points: &[Point]) -> Vec<Patch> {
     let finite = points.iter().filter(|point| point.is_finite());
     let mut points: Vec<(Vec3, u8)> = finite.map(|point| (point.position.into(), point.class())).collect();
     let mut patches = Vec::new();
-    divide(&mut points, Cell::ALL, &mut patches);
+    divide(&mut points, Cell::ALL, None, &mut patches);
     patches
 }
 
@@ -66,15 +67,18 @@ impl Cell {
     }
 }
 
-/// Divides points of a cell into pieces.
-fn divide(points: &mut [(Vec3, u8)], cell: Cell, patches: &mut Vec<Patch>) {
+/// Divides points of a cell into pieces. `known` is the plane that they are on, if that is known.
+fn divide(points: &mut [(Vec3, u8)], cell: Cell, known: Option<Plane>, patches: &mut Vec<Patch>) {
     let all = points.iter().map(|(at, _)| *at);
-    let (Some(min), Some(max)) = (all.clone().reduce(Vec3::min), all.reduce(Vec3::max)) else { return };
+    let (Some(min), Some(max)) = (all.clone().reduce(Vec3::min), all.clone().reduce(Vec3::max)) else {
+        return;
+    };
     let extent = max - min;
     let axis = extent.max_position();
     let is_small = extent[axis] <= SMALL_M;
-    let shape = (extent[axis] <= LONGEST_M).then(|| plane(points, cell, [min, max], is_small)).flatten();
-    let shape = shape.or_else(|| (is_small || points.len() == 1).then(|| filled(min, max)));
+    let plane = known.or_else(|| (extent[axis] <= LONGEST_M).then(|| flat(all, is_small)).flatten());
+    let shape = plane.and_then(|plane| surface(points, &plane, cell, [min, max], is_small));
+    let shape = shape.or_else(|| (is_small || points.len() == 1).then(|| filled(points, [min, max])));
     if let Some(shape) = shape {
         patches.push(Patch { shape, class: class(points), points: points.len() as u32 });
         return;
@@ -83,19 +87,26 @@ fn divide(points: &mut [(Vec3, u8)], cell: Cell, patches: &mut Vec<Patch>) {
     let [low, high] = cell.halves(axis, middle);
     points.sort_unstable_by_key(|(at, _)| at[axis] >= middle);
     let (below, above) = points.split_at_mut(points.partition_point(|(at, _)| at[axis] < middle));
-    divide(below, low, patches);
-    divide(above, high, patches);
+    divide(below, low, plane, patches);
+    divide(above, high, plane, patches);
 }
 
-/// Returns the piece of a plane that points in a cell are on; `None` if they are on none, or if their halves
-/// have finer masks. `is_small` accepts thick planes.
-fn plane(points: &[(Vec3, u8)], cell: Cell, [min, max]: [Vec3; 2], is_small: bool) -> Option<Shape> {
-    let at: Vec<Vec3> = points.iter().map(|(at, _)| *at).collect();
-    let plane = Plane::through(&at)?;
+/// Returns the plane that points are on; `None` if they are on none. `is_small` accepts thick planes.
+fn flat(points: impl ExactSizeIterator<Item = Vec3> + Clone, is_small: bool) -> Option<Plane> {
+    let count = points.len();
+    let plane = Plane::through(points).filter(|_| count >= 4)?;
     let is_flat = plane.thickness_m <= THICK_M || is_small;
-    if at.len() < 4 || plane.width_m <= WIDE * plane.thickness_m.max(NOISE_M) || !is_flat {
-        return None;
-    }
+    (is_flat && plane.width_m > WIDE * plane.thickness_m.max(NOISE_M)).then_some(plane)
+}
+
+/// Returns the piece of a plane that has points in a cell; `None` if the halves have finer masks.
+fn surface(
+    points: &[(Vec3, u8)],
+    plane: &Plane,
+    cell: Cell,
+    [min, max]: [Vec3; 2],
+    is_small: bool,
+) -> Option<Shape> {
     let along = plane.normal.abs().max_position();
     let sides = across(along as u8);
     let [mut low, mut high] = [min, max];
@@ -110,11 +121,13 @@ fn plane(points: &[(Vec3, u8)], cell: Cell, [min, max]: [Vec3; 2], is_small: boo
         high[side] += beyond(cell.max[side] - max[side]);
     }
     let mut seen = Mask::default();
-    at.iter().for_each(|at| seen.set(sides.map(|side| (at[side] - low[side]) / (high[side] - low[side]))));
+    for (at, _) in points {
+        seen.set(sides.map(|side| (at[side] - low[side]) / (high[side] - low[side])));
+    }
     let mask = seen.closed(CLOSING);
     let (seen, covered) = (seen.count() as f32, mask.count());
     let is_full = covered == SIDE * SIDE && seen >= FULL * covered as f32;
-    let is_dense = seen >= DENSE * covered as f32 && at.len() >= POINTS_PER_CELL * covered;
+    let is_dense = seen >= DENSE * covered as f32 && points.len() >= POINTS_PER_CELL * covered;
     if is_dense && !is_full && !is_small {
         return None;
     }
@@ -132,10 +145,11 @@ fn plane(points: &[(Vec3, u8)], cell: Cell, [min, max]: [Vec3; 2], is_small: boo
     Some(Shape::Plane { normal: plane.normal, offset, min: low, max: high, along: along as u8, mask })
 }
 
-/// Returns the box of bounds.
-fn filled(min: Vec3, max: Vec3) -> Shape {
+/// Returns the box of points with bounds.
+fn filled(points: &[(Vec3, u8)], [min, max]: [Vec3; 2]) -> Shape {
     let (center, half) = ((min + max) / 2.0, ((max - min) / 2.0).max(Vec3::splat(HALF_M)));
-    Shape::Box { min: center - half, max: center + half }
+    let mean = center + points.iter().map(|(at, _)| *at - center).sum::<Vec3>() / points.len() as f32;
+    Shape::Box { min: center - half, max: center + half, mean }
 }
 
 /// Returns the most frequent class of points, the least of equally frequent ones.
@@ -207,8 +221,8 @@ mod tests {
     #[test]
     fn points_on_no_plane_are_boxes() {
         let patches = patches(&[point([4.0, 0.0, 0.0], 3), point([6.0, 0.5, 0.0], 0)]);
-        assert_eq!((range(&patches, [0.02, 0.0]), range(&patches, [0.05, 0.0])), (Some(4.0), None));
-        assert_eq!((range(&patches, [0.48, 0.01]), patches.len()), (Some(6.0), 2));
+        assert_eq!((range(&patches, [0.015, 0.0]), range(&patches, [0.025, 0.0])), (Some(4.0), None));
+        assert_eq!((range(&patches, [0.49, 0.01]), patches.len()), (Some(6.0), 2));
         assert!(super::patches(&[point([f64::NAN, 0.0, 0.0], 0)]).is_empty());
     }
 }

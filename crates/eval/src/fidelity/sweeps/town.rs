@@ -2,7 +2,7 @@
 
 use point_skeleton::Renderer;
 use point_skeleton::dataset::{EgoTrack, LogReader};
-use point_skeleton::lidar::{LidarDevice, LidarRays, LidarSpec, Motion};
+use point_skeleton::lidar::{LidarDevice, LidarRays, LidarSpec, Motion, RangeImage};
 use point_skeleton::scene::EgoOffset;
 use pskel_town::{Town, TownHit, TownRay};
 
@@ -21,6 +21,8 @@ pub(super) fn measure(
     spec: &LidarSpec,
     on_step: &mut dyn FnMut(&str),
 ) -> Result<Vec<SweepRow>, FidelityError> {
+    let mut spec = spec.clone();
+    spec.devices.iter_mut().for_each(|device| device.dropout = 0.0); // of the town's beams, none is lost
     let (log, track) = (town.recording(), EgoTrack::new(town.recording()));
     let mut rows = Vec::new();
     for (name, left_m, yaw_deg) in POSES {
@@ -31,8 +33,9 @@ pub(super) fn measure(
             let t_us = log.frames.get(frame).ok_or_else(none)?.t_us;
             let (state, other) = states(log, &track, t_us, offset, spec.duration_s()).ok_or_else(none)?;
             let motion = Motion::new(&state, other.as_ref());
-            for device in &spec.devices {
-                sums.add(&compared(town, renderer, device, &motion)?);
+            let sweep = renderer.lidar(&spec, &motion)?;
+            for (device, image) in spec.devices.iter().zip(&sweep.devices) {
+                sums.add(&compared(town, device, image, &motion));
             }
             on_step(&format!("{name}, frame {frame:06}"));
         }
@@ -42,18 +45,13 @@ pub(super) fn measure(
 }
 
 /// Returns the rays of a device with what they meet in skeleton and town.
-fn compared(
-    town: &Town,
-    renderer: &mut Renderer<'_>,
-    device: &LidarDevice,
-    motion: &Motion<'_>,
-) -> Result<Vec<Ray>, FidelityError> {
-    let rays = device.sweep_rays(motion);
+fn compared(town: &Town, device: &LidarDevice, image: &RangeImage, motion: &Motion<'_>) -> Vec<Ray> {
     let [near_m, far_m] = device.range_m;
-    let hits = renderer.cast(&rays, motion, far_m)?;
-    let found =
-        hits.iter().flatten().map(|hit| hit.map(|hit| hit.range_m).filter(|range_m| *range_m >= near_m));
+    let columns = (0..image.columns).flat_map(|column| (0..image.beams).map(move |beam| (beam, column)));
+    let found = columns.map(|(beam, column)| image.range_m[beam * image.columns + column]);
+    let found = found.map(|range_m| (range_m > 0.0).then_some(f64::from(range_m)));
     let t_us = motion.state().t_us;
+    let rays = device.sweep_rays(motion);
     let rays: Vec<TownRay> = rays.iter().flat_map(|rays| town_rays(t_us, rays)).collect();
     let truth = town.hits(t_us, &rays);
     let compare = |((ray, found_m), truth): ((&TownRay, Option<f64>), Option<TownHit>)| {
@@ -66,7 +64,7 @@ fn compared(
             facing: truth.filter(|hit| !hit.is_glass).map(|hit| hit.facing),
         }
     };
-    Ok(rays.iter().zip(found).zip(truth).map(compare).collect())
+    rays.iter().zip(found).zip(truth).map(compare).collect()
 }
 
 /// Iterates over rays of an instant.
