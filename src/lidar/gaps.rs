@@ -7,8 +7,8 @@ use super::search::LAYERS_M;
 
 /// Greatest distance of two places on one surface that the rays beside a ray meet, meters.
 const JOINED_M: f64 = 0.6;
-/// Greatest distance of a ray from the line between these places, in their distances: rays of a column or of a
-/// beam are next to each other, unless a device has its beams in another order.
+/// Greatest distance of a ray from the line between these places, in lengths of that line: the beams of a
+/// device may be in any order.
 const ASIDE: f64 = 0.1;
 
 /// A ray, and what it meets.
