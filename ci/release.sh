@@ -48,7 +48,8 @@ crates() {
     local verify=(--no-verify)
     [ "${VERIFY:-0}" = 1 ] && verify=()
     cargo publish --workspace --dry-run --locked ${verify[@]+"${verify[@]}"} --target-dir "$scratch/crates"
-    cp "$scratch"/crates/package/*.crate "$out"
+    find "$scratch/crates" -name '*.crate' -exec cp {} "$out" \;
+    find "$out" -name '*.crate' -size +10M -printf '%f has %s bytes: crates.io accepts 10 MiB without asking\n' >&2
 }
 
 wheel() {
