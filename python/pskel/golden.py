@@ -15,7 +15,8 @@ import statistics
 import sys
 import tempfile
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -61,8 +62,14 @@ def _render(log: Log, skeleton: Skeleton, golden: dict[str, Any], rasterizer: st
         return hashes, Rate(rasterizer, renderer.device, 1 / statistics.median(times))
 
 
-def _built(log: Log, golden: dict[str, Any], folder: str) -> Skeleton:
-    return build(log, folder, every=golden["every"])
+@contextmanager
+def _skeleton_of(log: Log, skeleton: Skeleton | None) -> Iterator[Skeleton]:
+    """Yield a skeleton, or one that is built for as long."""
+    if skeleton is not None:
+        yield skeleton
+        return
+    with tempfile.TemporaryDirectory(prefix="pskel-") as folder:
+        yield build(log, folder)
 
 
 def make(
@@ -72,18 +79,18 @@ def make(
     frames: tuple[int, int] = _FRAMES,
     out_size: tuple[int, int] = _SIZE,
     maps: Sequence[str] = ("color", "depth", "class", "instance"),
-    every: int = 1,
+    skeleton: Skeleton | None = None,
     rasterizer: str = "cpu",
 ) -> int:
     """Write the hashes of the maps of frames ``frames[0] .. frames[1] - 1``; return their number.
 
-    The skeleton is built from every ``every``-th frame. Raises ``ValueError`` if the log does not have the frames.
+    The skeleton of the log is built, unless one is given. Raises ``ValueError`` if the log does not have the frames.
     """
     if not 0 <= frames[0] < frames[1] <= len(log):
         raise ValueError(f"expected frames A..B in 0..{len(log)}, found {frames[0]}..{frames[1]}")
-    golden = {"pskel": __version__, "frames": list(frames), "out_size": list(out_size), "maps": list(maps), "every": every}
-    with tempfile.TemporaryDirectory(prefix="pskel-") as folder:
-        hashes, _ = _render(log, _built(log, golden, folder), golden, rasterizer)
+    golden = {"pskel": __version__, "frames": list(frames), "out_size": list(out_size), "maps": list(maps)}
+    with _skeleton_of(log, skeleton) as used:
+        hashes, _ = _render(log, used, golden, rasterizer)
     Path(path).write_text(json.dumps({**golden, "hashes": hashes}, indent=1) + "\n")
     return sum(len(of) for cameras in hashes.values() for of in cameras.values())
 
@@ -94,7 +101,7 @@ def _read(path: str | os.PathLike[str]) -> dict[str, Any]:
         golden = json.loads(Path(path).read_text())
     except ValueError as error:
         raise ValueError(f"{path}: {expected}, found no JSON: {error}") from error
-    fields = {"frames", "out_size", "maps", "every", "hashes"}
+    fields = {"frames", "out_size", "maps", "hashes"}
     if not isinstance(golden, dict) or not fields <= set(golden):
         raise ValueError(f"{path}: {expected}, with {', '.join(sorted(fields))}; found another file")
     return golden
@@ -115,9 +122,9 @@ def _differences(found: Hashes, golden: Hashes) -> list[str]:
 
 
 def check(
-    log: Log, path: str | os.PathLike[str], *, rasterizers: Sequence[str] = ("cpu",)
+    log: Log, path: str | os.PathLike[str], *, rasterizers: Sequence[str] = ("cpu",), skeleton: Skeleton | None = None
 ) -> tuple[dict[str, list[str]], list[Rate]]:
-    """Build the skeleton of a log, render the golden frames with each rasterizer, and compare.
+    """Render the golden frames of a log with each rasterizer, from a skeleton that is built unless one is given, and compare.
 
     Returns the maps that differ, ``FRAME/CAMERA/MAP``, by rasterizer, and the rates. Raises ``ValueError`` if ``path`` is no file
     of :func:`make`, or if the log does not have its frames.
@@ -126,10 +133,9 @@ def check(
     if not golden["frames"][1] <= len(log):
         raise ValueError(f"{path}: expected a log with {golden['frames'][1]} frames or more, found {len(log)}")
     differences, rates = {}, []
-    with tempfile.TemporaryDirectory(prefix="pskel-") as folder:
-        skeleton = _built(log, golden, folder)
+    with _skeleton_of(log, skeleton) as used:
         for rasterizer in rasterizers:
-            hashes, rate = _render(log, skeleton, golden, rasterizer)
+            hashes, rate = _render(log, used, golden, rasterizer)
             differences[rasterizer] = _differences(hashes, golden["hashes"])
             rates.append(rate)
     return differences, rates
@@ -165,22 +171,23 @@ def _main() -> int:
     for command in (makes, checks):
         command.add_argument("log", help="as for pskel build")
         command.add_argument("file", help="JSON file with the hashes")
+        command.add_argument("--skeleton", metavar="SKEL", help="by default it is built, from all frames")
     makes.add_argument("--frames", type=_numbers(".."), default=_FRAMES, metavar="A..B", help="default 0..3")
     makes.add_argument("--out-size", type=_numbers("x"), default=_SIZE, metavar="HxW", help="size of the maps, default 256x448")
     makes.add_argument("--maps", default="color,depth,class,instance", help="default %(default)s")
-    makes.add_argument("--every", type=int, default=1, metavar="N", help="frames of the skeleton, default 1")
     checks.add_argument("--rasterizers", default="cpu", help="such as cpu,compute; default %(default)s")
     checks.add_argument("--rates", metavar="F.json", help="frames per second of the last run; replaced by those of this one")
     checks.add_argument("--summary", metavar="F.md", help="append a table, as to $GITHUB_STEP_SUMMARY")
     given = parser.parse_args()
-    log = Log(given.log)
+    log, skeleton = Log(given.log), Skeleton(given.skeleton) if given.skeleton else None
     if given.command == "make":
-        options = {"frames": given.frames, "out_size": given.out_size, "maps": given.maps.split(","), "every": given.every}
-        print(f"{given.file}: {make(log, given.file, **options)} maps")
+        maps = given.maps.split(",")
+        count = make(log, given.file, frames=given.frames, out_size=given.out_size, maps=maps, skeleton=skeleton)
+        print(f"{given.file}: {count} maps")
         return 0
     rates_file = given.rates and Path(given.rates)
     last = json.loads(rates_file.read_text()) if rates_file and rates_file.exists() else {}
-    differences, rates = check(log, given.file, rasterizers=given.rasterizers.split(","))
+    differences, rates = check(log, given.file, rasterizers=given.rasterizers.split(","), skeleton=skeleton)
     table = _table(differences, rates, last, given.file)
     print(table, end="")
     if given.summary:

@@ -15,9 +15,9 @@ OPTIONS = ("--frames", "1..3", "--out-size", "28x50")
 
 
 @pytest.fixture(scope="module")
-def made(log: pskel.Log, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def made(log: pskel.Log, skeleton: pskel.Skeleton, tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("golden") / "golden.json"
-    assert golden.make(log, path, frames=(1, 3), out_size=(28, 50)) == 2 * 6 * 4
+    assert golden.make(log, path, frames=(1, 3), out_size=(28, 50), skeleton=skeleton) == 2 * 6 * 4
     return path
 
 
@@ -29,7 +29,7 @@ def changed(made: Path, path: Path, change: Callable[[dict[str, Any]], object]) 
 
 
 def test_rasterizers_and_machines_agree(log: pskel.Log, skeleton: pskel.Skeleton, made: Path) -> None:
-    differences, rates = golden.check(log, made, rasterizers=["cpu", "compute"])
+    differences, rates = golden.check(log, made, rasterizers=["cpu", "compute"], skeleton=skeleton)
     assert differences == {"cpu": [], "compute": []}
     assert [rate.rasterizer for rate in rates] == ["cpu", "compute"] and all(rate.frames_per_s > 0 for rate in rates)
     # The hashes are those of the maps that anyone renders.
@@ -40,20 +40,22 @@ def test_rasterizers_and_machines_agree(log: pskel.Log, skeleton: pskel.Skeleton
     assert json.loads(made.read_text())["hashes"]["000002"]["CAM_FRONT"]["depth"] == expected
 
 
-def test_differences_are_named(log: pskel.Log, made: Path, tmp_path: Path) -> None:
+def test_differences_are_named(log: pskel.Log, skeleton: pskel.Skeleton, made: Path, tmp_path: Path) -> None:
     def change(content: dict[str, Any]) -> None:
         content["hashes"]["000001"]["CAM_BACK"]["class"] = "0" * 32
         del content["hashes"]["000002"]["CAM_FRONT"]["depth"]
         content["hashes"]["000002"]["CAM_NONE"] = {"color": "1"}
 
-    differences, _ = golden.check(log, changed(made, tmp_path / "g.json", change))
+    differences, _ = golden.check(log, changed(made, tmp_path / "g.json", change), skeleton=skeleton)
     assert differences == {"cpu": ["000001/CAM_BACK/class", "000002/CAM_FRONT/depth", "000002/CAM_NONE/color"]}
 
 
-def test_the_command_makes_and_checks(made: Path, run: Run, tmp_path: Path) -> None:
+def test_the_command_makes_and_checks(skeleton: pskel.Skeleton, made: Path, run: Run, tmp_path: Path) -> None:
+    """``make`` builds a skeleton of its own: it is the same one."""
     done = run("-m", "pskel.golden", "make", TOWN, "g.json", *OPTIONS)
     assert done.stdout == "g.json: 48 maps\n" and (tmp_path / "g.json").read_bytes() == made.read_bytes()
-    check = ("-m", "pskel.golden", "check", TOWN, "g.json", "--rates", "rates.json", "--summary", "summary.md")
+    files = ("--skeleton", str(skeleton.path), "--rates", "rates.json", "--summary", "summary.md")
+    check = ("-m", "pskel.golden", "check", TOWN, "g.json", *files)
     first = run(*check).stdout.splitlines()[-1].split(" | ")
     assert first[0] == "| cpu" and first[2] == "equal" and first[-1] == "- |"
     changed(made, tmp_path / "g.json", lambda content: content["hashes"]["000001"]["CAM_BACK"].update({"class": "2"}))
@@ -70,7 +72,7 @@ def test_other_files_and_frames_are_refused(log: pskel.Log, made: Path, run: Run
     changed(made, tmp_path / "long.json", lambda content: content.update({"frames": [1, 9]}))
     for name, said in (
         ("text.json", "text.json: expected golden maps of pskel.golden make, found no JSON"),
-        ("other.json", "other.json: expected golden maps of pskel.golden make, with every, frames, hashes, maps, out_size"),
+        ("other.json", "other.json: expected golden maps of pskel.golden make, with frames, hashes, maps, out_size"),
         ("long.json", "long.json: expected a log with 9 frames or more, found 4"),
         ("missing.json", "No such file or directory: 'missing.json'"),
     ):
