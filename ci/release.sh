@@ -6,8 +6,8 @@
 #   sdist    its sources, from which pip compiles it elsewhere
 #   program  pskel in a tarball, for the same systems, without Python
 #
-# Wheel and program are compiled by zig's C compiler, which links against any version of glibc. Each is installed in an empty folder and renders
-# a recorded log there, or the synthetic one where a Vulkan driver is installed. Prints names, sizes and SHA-256, also in OUT/SHA256SUMS.
+# Wheel and program are compiled by zig's C compiler, which links against any version of glibc. Each is installed in an empty folder
+# and renders the synthetic log there, which needs a Vulkan driver. Prints names, sizes and SHA-256, also in OUT/SHA256SUMS.
 # PARTS selects some, e.g. "wheel program". VERIFY=1 also compiles each crate from its package, as crates.io has it.
 set -euo pipefail
 cd "$(dirname "$0")/.."

@@ -298,7 +298,7 @@ fn planners_see_generated_images_instead_of_ground_truth() {
     let simulate = format!(
         "simulate {town} --skeleton town --maps color --size 57x100 --sim-hz 10 --plan-hz 5 --steps 8 --ego \
             external \
-         --planner ./planner.sh --generator process:./denoiser.sh --window 2"
+         --planner ./planner.sh --generator process:./denoiser.sh --window 2 --infer-steps 2"
     );
     log.succeed(&format!("{simulate} --out out"));
     assert!(log.path("out/steps/000004/truth/CAM_FRONT.png").is_file());
