@@ -6,6 +6,10 @@
 layout(set = 0, binding = 4) uniform texture2D sun_near;
 layout(set = 0, binding = 5) uniform texture2D sun_far;
 layout(set = 0, binding = 6) uniform texture2D over;
+// The same maps of what moves.
+layout(set = 0, binding = 9) uniform texture2D moving_near;
+layout(set = 0, binding = 10) uniform texture2D moving_far;
+layout(set = 0, binding = 11) uniform texture2D moving_over;
 
 layout(location = 0) out vec2 light;
 
@@ -24,6 +28,19 @@ vec3 on_map(vec4 x, vec4 y, vec4 z, vec3 p) {
     return vec3(dot(x.xyz, p) + x.w, dot(y.xyz, p) + y.w, dot(z.xyz, p) + z.w);
 }
 
+// Return the first depth of a texel.
+float near_at(ivec2 texel) {
+    return min(texelFetch(sun_near, texel, 0).x, texelFetch(moving_near, texel, 0).x);
+}
+
+float far_at(ivec2 texel) {
+    return min(texelFetch(sun_far, texel, 0).x, texelFetch(moving_far, texel, 0).x);
+}
+
+float over_at(ivec2 texel) {
+    return min(texelFetch(over, texel, 0).x, texelFetch(moving_over, texel, 0).x);
+}
+
 // Returns the share of 4 x 4 texels around a position that do not hide it, weighted by a box three texels wide.
 float seen_near(vec3 at) {
     vec2 corner = at.xy - 0.5;
@@ -34,7 +51,7 @@ float seen_near(vec3 at) {
         float wy = y == 0 ? 1.0 - t.y : (y == 3 ? t.y : 1.0);
         for (int x = 0; x < 4; x++) {
             float wx = x == 0 ? 1.0 - t.x : (x == 3 ? t.x : 1.0);
-            sum += wx * wy * step(at.z, texelFetch(sun_near, first + ivec2(x, y), 0).x);
+            sum += wx * wy * step(at.z, near_at(first + ivec2(x, y)));
         }
     }
     return sum / 9.0;
@@ -44,8 +61,7 @@ float seen_far(vec3 at) {
     vec2 corner = at.xy - 0.5;
     vec2 t = fract(corner);
     ivec2 first = ivec2(floor(corner));
-    vec4 hides = vec4(texelFetch(sun_far, first, 0).x, texelFetch(sun_far, first + ivec2(1, 0), 0).x,
-        texelFetch(sun_far, first + ivec2(0, 1), 0).x, texelFetch(sun_far, first + ivec2(1, 1), 0).x);
+    vec4 hides = vec4(far_at(first), far_at(first + ivec2(1, 0)), far_at(first + ivec2(0, 1)), far_at(first + ivec2(1, 1)));
     vec4 seen = step(vec4(at.z), hides);
     return mix(mix(seen.x, seen.y, t.x), mix(seen.z, seen.w, t.x), t.y);
 }
@@ -93,7 +109,7 @@ float sky_seen(vec3 p, vec3 n, float height_m) {
         side = mix(side, vec2(side.x - side.y, side.x + side.y), s);
         vec2 tap = at.xy + texel * r * vec2(axis.x * side.x - axis.y * side.y, axis.y * side.x + axis.x * side.y);
         tap = clamp(tap, vec2(0.5), vec2(size) - 0.5);
-        float above = (at.z - texelFetch(over, ivec2(tap), 0).x) * m_of_depth;
+        float above = (at.z - over_at(ivec2(tap))) * m_of_depth;
         float close = clamp(above * 8.0, 0.0, 1.0) / (1.0 + 0.14 * max(above, 0.0));
         hidden += close * (i < 4 ? 1.4 : 0.8);
     }

@@ -61,9 +61,40 @@ impl Triangles {
 /// Pipeline and images of the maps, shared by all views.
 pub(super) struct Maps {
     pipeline: GraphicsPipeline,
-    /// Fine, coarse, from above.
+    /// Of what stands: rendered again only if that, the camera's surroundings or the light changes.
+    pub(super) standing: Layer,
+    /// Of actors, rendered for each view: those of a rig have times of their own.
+    pub(super) moving: Layer,
+}
+
+/// The three maps: fine, coarse, from above.
+pub(super) struct Layer {
     pub(super) images: [Arc<Image>; 3],
     targets: [Target; 3],
+}
+
+/// What the maps of a view show.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Casters {
+    frames: Frames,
+    /// Whether each map is used: the sun's only if it shines.
+    shown: [bool; 3],
+    draws: Vec<MeshDraw>,
+}
+
+impl Casters {
+    /// Returns what stands and what moves: meshes of the town are where they were modeled, actors have poses.
+    pub(super) fn of(draws: &[MeshDraw], light: &Light, frames: &Frames) -> [Self; 2] {
+        let shines = light.sun.max_element() > 0.0 && !light.bare;
+        let (standing, moving) = draws.iter().partition(|draw| draw.town_from_mesh == DAffine3::IDENTITY);
+        [standing, moving].map(|draws| Self { frames: *frames, shown: [shines, shines, !light.bare], draws })
+    }
+
+    /// Returns which maps differ from those of other casters.
+    pub(super) fn differ(&self, other: Option<&Self>) -> [bool; 3] {
+        let Some(other) = other.filter(|other| other.draws == self.draws) else { return [true; 3] };
+        [0, 1, 2].map(|i| (self.frames.0[i], self.shown[i]) != (other.frames.0[i], other.shown[i]))
+    }
 }
 
 /// Projections of the maps, which follow from the camera's position and the light.
@@ -137,35 +168,25 @@ impl Maps {
                 offsets: &[std::mem::offset_of!(Vertex, position) as u32],
             }),
         })?;
-        let image = |(side, _): (u32, f64)| {
-            let usage = ImageUsageFlags::DEPTH_STENCIL_ATTACHMENT | ImageUsageFlags::SAMPLED;
-            let (width, height) = (side, side);
-            let desc = ImageDesc { name: "town depth", width, height, layers: None, format: FORMAT, usage };
-            Image::new(device, &desc).map(Arc::new)
-        };
-        let [fine, coarse, over] = MAPS;
-        let images = [image(fine)?, image(coarse)?, image(over)?];
-        let target = |image: &Arc<Image>| Target::new(&pass, vec![image.clone()]);
-        let targets = [target(&images[0])?, target(&images[1])?, target(&images[2])?];
-        Ok(Self { pipeline, images, targets })
+        let layer = || Layer::new(device, &pass);
+        Ok(Self { standing: layer()?, moving: layer()?, pipeline })
     }
 
-    /// Renders all shadow casters into the maps; into the sun's only if it shines.
+    /// Renders the shadow casters of a layer into some of its maps.
     pub(super) fn record<'a>(
         &'a self,
         recorder: &mut Recorder<'a>,
         (triangles, parts): (&'a Triangles, &[Part]),
-        draws: &[MeshDraw],
-        (light, frames): (&Light, &Frames),
+        (layer, some): (&'a Layer, [bool; 3]),
+        Casters { frames, shown, draws }: &Casters,
     ) -> Result<(), GpuError> {
-        let shines = light.sun.max_element() > 0.0 && !light.bare;
-        for (i, (target, frame)) in self.targets.iter().zip(&frames.0).enumerate() {
-            let (side, shown) = (MAPS[i].0, if i < 2 { shines } else { !light.bare });
+        for i in (0..3).filter(|i| some[*i]) {
+            let (target, frame, side) = (&layer.targets[i], &frames.0[i], MAPS[i].0);
             let mut pass = recorder.pass(target, Area { width: side, height: side, viewport_pad: 0 });
             pass.bind(&self.pipeline, &[]);
             pass.vertices(&triangles.vertices);
             pass.indices(&triangles.indices);
-            for draw in draws.iter().filter(|_| shown) {
+            for draw in draws.iter().filter(|_| shown[i]) {
                 let part = &parts[draw.mesh];
                 let rows = frame.clip_rows(&draw.town_from_mesh);
                 if part.bounds.is_some_and(|bounds| touches(&rows, bounds)) {
@@ -177,6 +198,22 @@ impl Maps {
         }
         recorder.stamp("maps");
         Ok(())
+    }
+}
+
+impl Layer {
+    fn new(device: &Arc<Device>, pass: &Arc<RenderPass>) -> Result<Self, GpuError> {
+        let image = |(side, _): (u32, f64)| {
+            let usage = ImageUsageFlags::DEPTH_STENCIL_ATTACHMENT | ImageUsageFlags::SAMPLED;
+            let (width, height) = (side, side);
+            let desc = ImageDesc { name: "town depth", width, height, layers: None, format: FORMAT, usage };
+            Image::new(device, &desc).map(Arc::new)
+        };
+        let [fine, coarse, over] = MAPS;
+        let images = [image(fine)?, image(coarse)?, image(over)?];
+        let target = |image: &Arc<Image>| Target::new(pass, vec![image.clone()]);
+        let targets = [target(&images[0])?, target(&images[1])?, target(&images[2])?];
+        Ok(Self { images, targets })
     }
 }
 

@@ -3,7 +3,7 @@
 //!
 //! # How it works
 //! 1. [`Light`] gives the sun's position and the sky; three depth maps around the camera give their
-//!    visibility (`maps`).
+//!    visibility (`maps`), once for all that stands, and for the actors of each view.
 //! 2. A view is a grid of samples at half-pixel steps (`lens`). A first pass determines the surface of each
 //!    sample (`surfaces`), later passes shade it once, and a last one resolves samples to pixels (`shade`).
 //! 3. A pixel's depth, class and instance belong to the sample at its centre. The device reports the
@@ -38,7 +38,7 @@ use point_skeleton::raster::tiles::{Tile, TileLimits, grown, tiles};
 
 use self::corners::Corners;
 use self::lens::Lens;
-use self::maps::{Frames, Maps, Triangles};
+use self::maps::{Casters, Frames, Maps, Triangles};
 use self::shade::{Samples, ShadePass};
 use self::surfaces::SurfacePass;
 use self::truth::{Read, Scene};
@@ -54,6 +54,8 @@ pub struct MeshRenderer {
     corners: Corners,
     triangles: Triangles,
     maps: Maps,
+    /// What the maps of standing casters show, if they are whole.
+    mapped: Option<Casters>,
     surfaces: SurfacePass,
     shade: ShadePass,
     samples: Option<Samples>,
@@ -80,6 +82,7 @@ impl MeshRenderer {
             corners,
             triangles,
             maps,
+            mapped: None,
             surfaces,
             shade,
             samples: None,
@@ -133,11 +136,15 @@ impl MeshRenderer {
     }
 
     fn map(&mut self, draws: &[MeshDraw], light: &Light, frames: &Frames) -> Result<(), MeshRenderError> {
+        let [standing, moving] = Casters::of(draws, light, frames);
+        let differ = standing.differ(self.mapped.take().as_ref());
         let mut recorder = self.commands.begin()?;
-        let scene = (&self.triangles, &self.corners.parts[..]);
-        self.maps.record(&mut recorder, scene, draws, (light, frames))?;
+        let (maps, scene) = (&self.maps, (&self.triangles, &self.corners.parts[..]));
+        maps.record(&mut recorder, scene, (&maps.standing, differ), &standing)?;
+        maps.record(&mut recorder, scene, (&maps.moving, [true; 3]), &moving)?;
         let times = recorder.submit()?;
         times.into_iter().for_each(|(stage, time)| self.stages.add(stage, time));
+        self.mapped = Some(standing);
         Ok(())
     }
 

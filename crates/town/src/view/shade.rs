@@ -204,11 +204,15 @@ impl ShadePass {
         let (shown, pixel) =
             (image("town owners", pixels, OWNER, copied)?, image("town pixels", pixels, PIXEL, copied)?);
         // In the order of the binding numbers in `glsl`.
-        let [fine, coarse, over] = maps.images.each_ref().map(|image| Bind::Image(image.clone()));
+        let layers = [&maps.standing, &maps.moving];
+        let [standing, moving] =
+            layers.map(|layer| layer.images.each_ref().map(|image| Bind::Image(image.clone())));
         let images = [&surface, &depth, &light].map(|image| Bind::Image(image.clone()));
         let mut binds = vec![Bind::Buffer(self.block.clone())];
         binds.extend(images);
-        binds.extend([fine, coarse, over, Bind::Image(owner.clone()), Bind::Image(color.clone())]);
+        binds.extend(standing);
+        binds.extend([&owner, &color].map(|image| Bind::Image(image.clone())));
+        binds.extend(moving);
         let back = |name, pixel_bytes: u64| {
             let size = u64::from(pixels[0]) * u64::from(pixels[1]) * pixel_bytes;
             let (usage, memory) = (Usage::TRANSFER_DST, Memory::Readback);

@@ -329,6 +329,40 @@ fn pictures_do_not_depend_on_threads() {
     assert_eq!(run("1"), run("2"));
 }
 
+/// Shadow maps of what stands are kept from view to view: images are those of a new renderer, whatever moves,
+/// goes, or changes in between.
+#[test]
+fn kept_shadow_maps_show_in_no_image() {
+    let (meshes, draws) = scene();
+    let meshes: Vec<&Mesh> = meshes.iter().collect();
+    let from = |x: f64| view([40, 70], 45.0, DVec3::new(x, 0.5, 1.6), [0.1, 0.05, 0.0]);
+    let mut moved = draws.clone();
+    moved[1].town_from_mesh = at(DVec3::new(7.0, -1.0, 0.0), 1.2);
+    let cut: Vec<MeshDraw> = draws.iter().filter(|draw| draw.mesh != 2).copied().collect();
+    let (day, dusk, bare) = (Light::new(Daylight::Day, 1), Light::new(Daylight::Dusk, 1), Light::bare());
+    with_device(|device| {
+        let mut renderer = MeshRenderer::new(&device, &meshes).unwrap();
+        let mut images: Vec<Vec<u8>> = Vec::new();
+        for (x, draws, light) in [
+            (0.0, &draws, &day),
+            (0.0, &moved, &day),
+            (9.0, &moved, &day),
+            (9.0, &cut, &day),
+            (9.0, &cut, &dusk),
+            (9.0, &cut, &bare),
+            (0.0, &cut, &day),
+        ] {
+            let views = [from(x)];
+            let kept = renderer.render(draws, &views, light).unwrap().remove(0);
+            let new =
+                MeshRenderer::new(&device, &meshes).unwrap().render(draws, &views, light).unwrap().remove(0);
+            assert!(kept == new, "at {x} m");
+            images.push(kept.image.into_raw());
+        }
+        assert!(images.windows(2).all(|two| two[0] != two[1]));
+    });
+}
+
 #[test]
 fn an_empty_scene_is_sky_and_invalid_draws_are_named() {
     let mut block = Mesh::default();
