@@ -2,23 +2,19 @@
 # Builds and checks what a release publishes: ci/release.sh [OUT], by default out/release.
 #
 #   crates   what `cargo publish` uploads, in the order of their dependencies
-#   wheel    of the Python package for any Linux of its processor with glibc 2.28 or later (manylinux_2_28)
+#   wheel    of the Python package for any Linux of its processor with glibc 2.28 or later (manylinux_2_28), compiled by zig's C
+#            compiler; installed in an empty folder, it renders the synthetic log there, which needs a Vulkan driver
 #   sdist    its sources, from which pip compiles it elsewhere
-#   program  pskel in a tarball, for the same systems, without Python
 #
-# Wheel and program are compiled by zig's C compiler, which links against any version of glibc. Each is installed in an empty folder
-# and renders the synthetic log there, which needs a Vulkan driver. Prints names, sizes and SHA-256, also in OUT/SHA256SUMS.
-# PARTS selects some, e.g. "wheel program". VERIFY=1 also compiles each crate from its package, as crates.io has it.
+# Prints names, sizes and SHA-256, also in OUT/SHA256SUMS. PARTS selects some, e.g. "crates sdist". VERIFY=1 also compiles each crate
+# from its package, as crates.io has it.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
 say() { echo "release: $*" >&2; }
 
 out=$(realpath -m "${1:-out/release}")
-parts=${PARTS:-crates wheel sdist program}
-glibc=2.28
-machine=$(uname -m)
-version=$(sed -n 's/^version = "\(.*\)"/\1/p' Cargo.toml | head -n 1)
+parts=${PARTS:-crates wheel sdist}
 tools=$(realpath -m "${TOOLS:-out/release-tools}")
 scratch=$(mktemp -d)
 trap 'rm -rf "$scratch"' EXIT
@@ -63,18 +59,6 @@ wheel() {
 sdist() {
     maturin sdist --manifest-path python/Cargo.toml --out "$out"
 }
-
-program() {
-    local name=pskel-$version-$machine-linux
-    cargo zigbuild --locked --release -p pskel --target "$machine-unknown-linux-gnu.$glibc"
-    mkdir "$scratch/$name"
-    cp "$(target)/$machine-unknown-linux-gnu/release/pskel" README.md CHANGELOG.md LICENSE-* "$scratch/$name"
-    tar -C "$scratch" --sort=name --owner=0 --group=0 --numeric-owner --mtime=@0 -czf "$out/$name.tar.gz" "$name"
-    tar -C "$scratch" -xzf "$out/$name.tar.gz"
-    try "$scratch/$name/pskel"
-}
-
-target() { cargo metadata --locked --no-deps --format-version 1 | sed -n 's/.*"target_directory":"\([^"]*\)".*/\1/p'; }
 
 for part in $parts; do
     start=$SECONDS
