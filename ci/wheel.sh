@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # Builds the wheel of the Python package into a folder: `ci/wheel.sh [OUT [OPTIONS OF MATURIN]]`, by default out/wheel. PROFILE is
-# a Cargo profile (default release). COMPATIBILITY is that of maturin: linux (default) for machines like this one, or a manylinux version such
-# as manylinux_2_28, which maturin verifies.
+# a Cargo profile (default release). COMPATIBILITY, as in maturin, is linux (default) for machines like this one, or a manylinux
+# version such as manylinux_2_28, which maturin verifies.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 

@@ -1,8 +1,8 @@
 """Golden maps of a log: ``python -m pskel.golden make LOG FILE`` writes their hashes, ``.. check LOG FILE`` compares.
 
 All rasterizers render the same bytes on any device and with any number of threads, so hashes made on one machine hold on all.
-The hash of a map is that of its array, not of an image file. ``check`` also measures frames per second, for the summary of a
-job, and compares them with those of the run before.
+Arrays are hashed, not image files. ``check`` also measures frames per second, for the summary of a job, and compares them with
+the run before.
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from . import Error, Log, Renderer, Skeleton, __version__, build
+from ._whole import write_whole
 
 __all__ = ["Rate", "check", "make"]
 
@@ -80,7 +81,6 @@ def make(
     out_size: tuple[int, int] = _SIZE,
     maps: Sequence[str] = ("color", "depth", "class", "instance"),
     skeleton: Skeleton | None = None,
-    rasterizer: str = "cpu",
 ) -> int:
     """Write the hashes of the maps of frames ``frames[0] .. frames[1] - 1``; return their number.
 
@@ -90,21 +90,19 @@ def make(
         raise ValueError(f"expected frames A..B in 0..{len(log)}, found {frames[0]}..{frames[1]}")
     golden = {"pskel": __version__, "frames": list(frames), "out_size": list(out_size), "maps": list(maps)}
     with _skeleton_of(log, skeleton) as used:
-        hashes, _ = _render(log, used, golden, rasterizer)
-    Path(path).write_text(json.dumps({**golden, "hashes": hashes}, indent=1) + "\n")
+        hashes, _ = _render(log, used, golden, "cpu")
+    write_whole(Path(path), json.dumps({**golden, "hashes": hashes}, indent=1).encode() + b"\n")
     return sum(len(of) for cameras in hashes.values() for of in cameras.values())
 
 
-def _read(path: str | os.PathLike[str]) -> dict[str, Any]:
-    expected = "expected golden maps of pskel.golden make"
+def _read(path: str | os.PathLike[str], what: str, fields: Sequence[str] = ()) -> dict[str, Any]:
     try:
-        golden = json.loads(Path(path).read_text())
+        found = json.loads(Path(path).read_text())
     except ValueError as error:
-        raise ValueError(f"{path}: {expected}, found no JSON: {error}") from error
-    fields = {"frames", "out_size", "maps", "hashes"}
-    if not isinstance(golden, dict) or not fields <= set(golden):
-        raise ValueError(f"{path}: {expected}, with {', '.join(sorted(fields))}; found another file")
-    return golden
+        raise ValueError(f"{path}: expected {what}, found no JSON: {error}") from error
+    if not isinstance(found, dict) or not set(fields) <= set(found):
+        raise ValueError(f"{path}: expected {', '.join([what, *fields])}; found another file")
+    return found
 
 
 def _differences(found: Hashes, golden: Hashes) -> list[str]:
@@ -129,7 +127,7 @@ def check(
     Returns the maps that differ, ``FRAME/CAMERA/MAP``, by rasterizer, and the rates. Raises ``ValueError`` if ``path`` is no file
     of :func:`make`, or if the log does not have its frames.
     """
-    golden = _read(path)
+    golden = _read(path, "golden maps of pskel.golden make", ["frames", "hashes", "maps", "out_size"])
     if not golden["frames"][1] <= len(log):
         raise ValueError(f"{path}: expected a log with {golden['frames'][1]} frames or more, found {len(log)}")
     differences, rates = {}, []
@@ -176,7 +174,7 @@ def _main() -> int:
     makes.add_argument("--out-size", type=_numbers("x"), default=_SIZE, metavar="HxW", help="size of the maps, default 256x448")
     makes.add_argument("--maps", default="color,depth,class,instance", help="default %(default)s")
     checks.add_argument("--rasterizers", default="cpu", help="such as cpu,compute; default %(default)s")
-    checks.add_argument("--rates", metavar="F.json", help="frames per second of the last run; replaced by those of this one")
+    checks.add_argument("--rates", metavar="F.json", help="frames per second of the last run; replaced")
     checks.add_argument("--summary", metavar="F.md", help="append a table, as to $GITHUB_STEP_SUMMARY")
     given = parser.parse_args()
     log, skeleton = Log(given.log), Skeleton(given.skeleton) if given.skeleton else None
@@ -186,7 +184,7 @@ def _main() -> int:
         print(f"{given.file}: {count} maps")
         return 0
     rates_file = given.rates and Path(given.rates)
-    last = json.loads(rates_file.read_text()) if rates_file and rates_file.exists() else {}
+    last = _read(rates_file, "frames per second by rasterizer") if rates_file and rates_file.exists() else {}
     differences, rates = check(log, given.file, rasterizers=given.rasterizers.split(","), skeleton=skeleton)
     table = _table(differences, rates, last, given.file)
     print(table, end="")
@@ -194,7 +192,7 @@ def _main() -> int:
         with Path(given.summary).open("a") as summary:
             summary.write(table)
     if rates_file:
-        rates_file.write_text(json.dumps({rate.rasterizer: rate.frames_per_s for rate in rates}) + "\n")
+        write_whole(rates_file, json.dumps({rate.rasterizer: rate.frames_per_s for rate in rates}).encode() + b"\n")
     for rasterizer, names in differences.items():
         for name in names:
             print(f"{rasterizer}: {name} differs from {given.file}", file=sys.stderr)

@@ -32,7 +32,7 @@ def test_rasterizers_and_machines_agree(log: pskel.Log, skeleton: pskel.Skeleton
     differences, rates = golden.check(log, made, rasterizers=["cpu", "compute"], skeleton=skeleton)
     assert differences == {"cpu": [], "compute": []}
     assert [rate.rasterizer for rate in rates] == ["cpu", "compute"] and all(rate.frames_per_s > 0 for rate in rates)
-    # The hashes are those of the maps that anyone renders.
+    # Anyone who renders the maps gets these hashes.
     with pskel.Renderer(skeleton, out_size=(28, 50), maps=["depth"]) as renderer:
         depth = renderer.render(log[2])["depth"]
     front = log[2].cameras.index("CAM_FRONT")
@@ -72,12 +72,15 @@ def test_other_files_and_frames_are_refused(log: pskel.Log, made: Path, run: Run
     changed(made, tmp_path / "long.json", lambda content: content.update({"frames": [1, 9]}))
     for name, said in (
         ("text.json", "text.json: expected golden maps of pskel.golden make, found no JSON"),
-        ("other.json", "other.json: expected golden maps of pskel.golden make, with frames, hashes, maps, out_size"),
+        ("other.json", "other.json: expected golden maps of pskel.golden make, frames, hashes, maps, out_size; found another file"),
         ("long.json", "long.json: expected a log with 9 frames or more, found 4"),
         ("missing.json", "No such file or directory: 'missing.json'"),
     ):
         done = run("-m", "pskel.golden", "check", TOWN, name, check=False)
         assert done.returncode == 1 and said in done.stderr and "Traceback" not in done.stderr, done.stderr
+    (tmp_path / "rates.json").write_text("[]")
+    done = run("-m", "pskel.golden", "check", TOWN, str(made), "--rates", "rates.json", check=False)
+    assert done.returncode == 1 and "rates.json: expected frames per second by rasterizer" in done.stderr, done.stderr
     with pytest.raises(ValueError, match=r"expected frames A\.\.B in 0\.\.4, found 2\.\.5"):
         golden.make(log, tmp_path / "none.json", frames=(2, 5))
     assert not (tmp_path / "none.json").exists()

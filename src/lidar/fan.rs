@@ -9,14 +9,14 @@ use super::lanes::{LANES, Lanes, and, dot, squared};
 /// What boxes are larger by for rounding: meters, and part of their distance.
 const SLACK: [f32; 2] = [1e-3, 1e-5];
 
-/// Parts of the range of slopes, for which the first ray is known.
+/// Parts that the slopes are divided into: the first ray in each is known.
 const PARTS: usize = 256;
 
 /// Least range of slopes that is divided.
 const LEAST_SPAN: f32 = 1e-6;
 
 /// Directions of rays from a point, all near a half-plane, in the order of their slopes: components across
-/// the middle of the fan per component along it. The frame is that of the boxes, which may be scaled:
+/// the middle of the fan per component along it. They are in the frame of the boxes, which may be scaled:
 /// directions need not be unit vectors.
 #[derive(Clone, Debug)]
 pub(super) struct Fan {

@@ -8,7 +8,7 @@ use std::ops::{Add, Div, Mul, Sub};
 /// Lanes of the vectors.
 pub(super) const LANES: usize = 8;
 
-/// A number of each of several things.
+/// Several numbers.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Lanes<const N: usize>(pub(super) [f32; N]);
 
@@ -114,13 +114,13 @@ pub(super) fn and<const N: usize>(a: [bool; N], b: [bool; N]) -> [bool; N] {
     result
 }
 
-/// Returns the products of a vector with that of each lane.
+/// Returns the dot products with a vector, lane by lane.
 #[inline(always)]
 pub(super) fn dot<const N: usize>([x, y, z]: [f32; 3], other: [Lanes<N>; 3]) -> Lanes<N> {
     other[0] * x + other[1] * y + other[2] * z
 }
 
-/// Returns the squared length of the vector of each lane.
+/// Returns the squared lengths, lane by lane.
 #[inline(always)]
 pub(super) fn squared<const N: usize>([x, y, z]: [Lanes<N>; 3]) -> Lanes<N> {
     x * x + y * y + z * z

@@ -14,7 +14,7 @@ use crate::geometry::Pose;
 
 /// Maximum absolute elevation of a beam, degrees.
 pub const MAX_ELEVATION_DEG: f64 = 75.0;
-/// Maximum number of rays of a sweep.
+/// Maximum number of rays in a sweep.
 pub const MAX_RAYS: usize = 1 << 24;
 /// Maximum number of devices.
 const MAX_DEVICES: usize = 16;
@@ -135,7 +135,7 @@ impl LidarSpec {
         faults.map(|(expected, found, name)| (expected, format!("{found} in LiDAR device {name:?}")))
     }
 
-    /// Returns the number of beams of all devices.
+    /// Returns the number of beams, summed over the devices.
     pub fn beams(&self) -> usize {
         self.devices.iter().map(|device| device.elevations_deg.len()).sum()
     }
@@ -157,7 +157,7 @@ impl LidarSpec {
 }
 
 impl LidarDevice {
-    /// Returns the number of rays of a sweep.
+    /// Returns the number of rays in a sweep.
     pub fn rays(&self) -> usize {
         self.columns.saturating_mul(self.elevations_deg.len())
     }

@@ -27,7 +27,7 @@ const WIDE: f32 = 1.5;
 /// Least standard deviation from a plane that counts there, meters. A row of points from one beam is as wide
 /// as the noise of its ranges, and no other beam meets the plane of that one.
 const NOISE_M: f32 = 0.02;
-/// What a piece reaches beyond its points: part of a cell of its mask, and least, meters.
+/// How far a piece reaches beyond its points: in cells of its mask, and at least, meters.
 const EDGE: f32 = 0.5;
 const EDGE_M: f32 = 0.005;
 /// Radius of closing, cells of a mask. A piece reaches the edge of what its part covers if that is as near.
@@ -40,7 +40,7 @@ const POINTS_PER_CELL: usize = 2;
 /// Least half side of a box, meters.
 const HALF_M: f32 = 0.02;
 
-/// Returns the pieces of surfaces of a cloud.
+/// Divides a cloud into pieces of surfaces.
 pub(super) fn patches(points: &[Point]) -> Vec<Patch> {
     let finite = points.iter().filter(|point| point.is_finite());
     let mut points: Vec<(Vec3, u8)> = finite.map(|point| (point.position.into(), point.class())).collect();

@@ -3,7 +3,7 @@
 use crate::dataset::SweepPoint;
 use crate::geometry::Pose;
 
-/// Returns of all devices of a LiDAR.
+/// Returns of a LiDAR's devices.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LidarSweep {
     /// Name of the state.
@@ -27,7 +27,7 @@ pub struct RangeImage {
     pub beams: usize,
     /// Number of columns.
     pub columns: usize,
-    /// Ring number of the first beam: the number of beams of the devices before.
+    /// Ring number of the first beam: how many beams the devices before it have.
     pub first_ring: usize,
     /// Ranges from where the device was, meters; 0 without a return.
     pub range_m: Vec<f32>,

@@ -47,7 +47,7 @@ impl LidarNumber {
     }
 }
 
-/// File format of the points of a sweep.
+/// File format of a sweep's points.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum LidarFormat {
     /// `lidar.pcd.bin`, as nuScenes: x, y, z, intensity and ring in `f32`.

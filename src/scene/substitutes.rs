@@ -50,7 +50,7 @@ pub struct SubstituteReport {
     pub library: Option<String>,
     /// `None` for unchanged assets.
     pub augment: Option<AugmentReport>,
-    /// Checksums of the points of files, by track.
+    /// Checksums of point files, by track.
     #[serde(skip_serializing_if = "BTreeMap::is_empty")]
     pub looks: BTreeMap<String, Checksum>,
 }

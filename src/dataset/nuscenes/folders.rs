@@ -24,13 +24,13 @@ pub(super) const MARK: &str = "scene.json";
 /// Maximum number of entries per folder among which an error looks for them.
 pub(super) const MAX_ENTRIES: usize = 1000;
 
-/// Folder of the tables of a T4 scene.
+/// Folder with a T4 scene's tables.
 const T4_TABLES: &str = "annotation";
 
 /// End of the names of folders with tables whose start is the start of the folders of data too.
 const PREFIXED: &str = "_data";
 
-/// Scene of a folder of T4 scenes.
+/// Scene in a folder of T4 scenes.
 struct T4Scene {
     /// Name of its folder.
     name: String,
@@ -120,7 +120,7 @@ fn below(locator: &LogLocator, name: &str) -> LogLocator {
     LogLocator { path, version, sensor_root, ..locator.clone() }
 }
 
-/// Returns the names of the folders of revisions, in order.
+/// Returns the names of revisions' folders, in order.
 fn revisions(root: &Path) -> Vec<String> {
     let folders = folders_in(root, usize::MAX).unwrap_or_default().into_iter();
     let mut found: Vec<(u64, String)> = folders
@@ -203,7 +203,7 @@ fn is_recorded_at(tables: &Path, location: &str) -> Result<bool, DatasetError> {
 }
 
 impl LogRecord {
-    /// Returns the path of the table of logs.
+    /// Returns the path of the log table.
     pub(super) fn path_in(tables: &Path) -> PathBuf {
         <Self as super::tables::Record>::path(tables)
     }

@@ -40,7 +40,7 @@ type Rows<R> = Vec<(R, Row)>;
 /// Tables of some samples of a version.
 #[derive(Clone, Debug)]
 pub struct TableSubset {
-    /// Name of the version, also of the folder of its tables.
+    /// Name of the version and of its table folder.
     pub version: String,
     /// The samples, by scene and time.
     pub samples: Vec<SubsetSample>,
@@ -204,7 +204,7 @@ impl InTime {
         Self { places: places.collect(), samples }
     }
 
-    /// Returns the place of a sample of the subset.
+    /// Returns the place of a sample in the subset.
     fn place(&self, token: &str) -> usize {
         self.places.get(token).copied().unwrap_or_default()
     }

@@ -223,7 +223,7 @@ impl Objects<'_> {
         })
     }
 
-    /// Returns the intersection of each group of lanes.
+    /// Returns the intersection of each lane group.
     fn group_intersections(&self) -> BTreeMap<i64, Option<i64>> {
         let groups = self.layers.get(&LANE_GROUP).into_iter().flat_map(|layer| &layer.objects);
         groups.map(|group| (group.id, group.features.intersection_id)).collect()

@@ -69,7 +69,7 @@ pub(super) struct CameraMetadata {
     /// Whether the images of a pinhole fit the bare matrix.
     #[serde(default)]
     pub(super) is_undistorted: bool,
-    /// Fisheye: offset of the center of projection from the sphere's.
+    /// Fisheye: offset of the projection center from the sphere's.
     pub(super) mirror_parameter: Option<f64>,
     /// Fisheye: gamma1 gamma2 u0 v0.
     pub(super) projection: Option<Vec<f64>>,
@@ -106,7 +106,7 @@ impl LidarMetadata {
     }
 }
 
-/// Metadata of a table of sweeps: one LiDAR, or several that are merged, by their ids.
+/// Metadata of a sweep table: one LiDAR, or several that are merged, by their ids.
 #[derive(Debug, Deserialize)]
 #[serde(untagged)]
 pub(super) enum SweepMetadata {

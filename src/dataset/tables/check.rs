@@ -1,4 +1,4 @@
-//! Validation of the declared sizes of a batch of rows.
+//! Validation of the sizes that a batch of rows declares.
 
 use arrow_buffer::Buffer;
 use arrow_ipc::{Block, CompressionType, RecordBatch, root_as_message};
@@ -91,7 +91,7 @@ struct Columns<'a> {
     nodes: &'a [[i64; 2]],
     /// Decompressed bytes of buffers.
     sizes: &'a [u64],
-    /// Number of buffers of views.
+    /// Number of view buffers.
     variadic: &'a [i64],
 }
 
@@ -157,7 +157,7 @@ impl Columns<'_> {
         self.size(name).map(drop)
     }
 
-    /// Validates the size of a buffer of values.
+    /// Validates the size of a value buffer.
     fn least(&mut self, name: &str, items: u64, least: u64) -> Result<(), String> {
         match self.size(name)? {
             size if size < least => Err(format!("column {name} of {size} bytes in a batch of {items} rows")),
@@ -165,7 +165,7 @@ impl Columns<'_> {
         }
     }
 
-    /// Validates the size of a buffer of offsets; a column without rows may have none.
+    /// Validates the size of an offset buffer; a column without rows may have none.
     fn offsets(&mut self, name: &str, items: u64, width: u64) -> Result<(), String> {
         let size = self.size(name)?;
         let least = if items == 0 { 0 } else { items.saturating_add(1).saturating_mul(width) };

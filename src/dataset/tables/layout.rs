@@ -27,7 +27,7 @@ pub(super) struct Layout {
     pub(super) version: MetadataVersion,
     /// Batches with their number of rows.
     pub(super) blocks: Vec<(Block, u64)>,
-    /// Number of rows of all batches.
+    /// Number of rows in all batches.
     pub(super) rows: u64,
     /// Metadata of the schema, as stored.
     pub(super) metadata: Vec<(String, Vec<u8>)>,

@@ -137,7 +137,7 @@ fn lists<T>(part: &ArrayRef, convert: impl Fn(&ArrayRef) -> Option<Vec<T>>) -> O
         _ => return None,
     };
     let (first, last) = (*offsets.first()?, *offsets.last()?);
-    // Rows of a part of the batch: only their values.
+    // Rows in a part of the batch: only their values.
     let mut values = convert(&values.slice(first, last.checked_sub(first)?))?.into_iter();
     let list = |(row, pair): (usize, &[usize])| {
         let list: Vec<T> = values.by_ref().take(pair[1].saturating_sub(pair[0])).collect();

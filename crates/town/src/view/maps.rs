@@ -63,7 +63,7 @@ pub(super) struct Maps {
     pipeline: GraphicsPipeline,
     /// Of what stands: rendered again only if that, the camera's surroundings or the light changes.
     pub(super) standing: Layer,
-    /// Of actors, rendered for each view: those of a rig have times of their own.
+    /// Of actors, rendered for each view: the cameras of a rig have different times.
     pub(super) moving: Layer,
 }
 
@@ -90,7 +90,7 @@ impl Casters {
         [standing, moving].map(|draws| Self { frames: *frames, shown: [shines, shines, !light.bare], draws })
     }
 
-    /// Returns which maps differ from those of other casters.
+    /// Returns which maps differ for other casters.
     pub(super) fn differ(&self, other: Option<&Self>) -> [bool; 3] {
         let Some(other) = other.filter(|other| other.draws == self.draws) else { return [true; 3] };
         [0, 1, 2].map(|i| (self.frames.0[i], self.shown[i]) != (other.frames.0[i], other.shown[i]))

@@ -329,7 +329,7 @@ fn pictures_do_not_depend_on_threads() {
     assert_eq!(run("1"), run("2"));
 }
 
-/// Shadow maps of what stands are kept from view to view: images are those of a new renderer, whatever moves,
+/// Shadow maps of what stands are kept from view to view: images equal a new renderer's, whatever moves,
 /// goes, or changes in between.
 #[test]
 fn kept_shadow_maps_show_in_no_image() {

@@ -129,7 +129,7 @@ impl<'a> Features<'a> {
         Self(attributes.filter_map(|attribute| Some((name(attribute)?, attribute))).collect())
     }
 
-    /// Returns the type of a feature of one number per point.
+    /// Returns the type of a feature with one number per point.
     fn kind(&self, name: &str, attribute: &PointAttribute) -> Result<Kind, String> {
         let (stored, components) = (attribute.data_type(), attribute.num_components());
         let mut named = self.0.iter().filter(|(other, _)| other.strip_prefix(TYPE_PREFIX) == Some(name));

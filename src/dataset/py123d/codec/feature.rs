@@ -76,7 +76,7 @@ impl<'a> Column<'a> {
     }
 }
 
-/// Appends numbers that are integers of the range of `T`.
+/// Appends numbers that are integers in the range of `T`.
 ///
 /// # Errors
 /// Returns the first number that is not.

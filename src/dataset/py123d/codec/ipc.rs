@@ -199,7 +199,7 @@ fn append(points: &mut Points, batch: &RecordBatch) -> Result<(), String> {
     Ok(())
 }
 
-/// Returns the type and the bytes of an array of numbers, none of which is null.
+/// Returns the type and the bytes of an array without nulls.
 ///
 /// # Errors
 /// Returns a description of other arrays.

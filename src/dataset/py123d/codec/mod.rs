@@ -120,7 +120,7 @@ pub(in crate::dataset::py123d) fn decode(bytes: &[u8]) -> Result<Points, String>
     Ok(points)
 }
 
-/// Returns the number of points of a cell, after decoding it. A cell is a value of column `data` in a LiDAR
+/// Returns how many points a cell has, after decoding it. A cell is a value of column `data` in a LiDAR
 /// table that stores sweeps inside.
 ///
 /// # Errors

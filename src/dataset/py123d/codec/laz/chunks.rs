@@ -19,7 +19,7 @@ use laz::{DecompressionSelection, LazItem, LazItemType, LazVlr};
 
 use super::header::Header;
 
-/// Bytes of the offset of the chunk table, before the first chunk.
+/// Bytes of the chunk table's offset, before the first chunk.
 const TABLE_OFFSET_BYTES: usize = 8;
 
 /// Layers of the standard fields of formats 6 to 8, without color.

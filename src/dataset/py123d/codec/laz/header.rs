@@ -2,7 +2,7 @@
 
 use crate::dataset::py123d::codec::feature::Kind;
 
-/// Bytes of the headers of LAS 1.2 and 1.4.
+/// Header bytes of LAS 1.2 and 1.4.
 const OLD_HEADER_BYTES: usize = 227;
 const HEADER_BYTES: usize = 375;
 
